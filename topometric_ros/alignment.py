@@ -1,6 +1,6 @@
 """What merging found: alignments between pairs of agents and each agent's place in the world.
 
-Transforms are named `T_target_source` (4 x 4 float64, m): ``p_target = T_target_source @ p_source``.
+Transforms are named `T_target_source` (4 x 4 float64, m): `p_target = T_target_source @ p_source`.
 They hold between the agents' *input* frames, the frames that their clouds and TF trees use.
 """
 

@@ -47,10 +47,10 @@ class ParameterInfo:
             return tuple(str(item) for item in value)
         if type(value) is not self.kind:
             raise ConfigurationError(f"{self.name}: expected {self.kind.__name__}, got {value!r}")
-        if self.kind is float and not math.isfinite(value):
+        if self.kind is float and not math.isfinite(value):  # type: ignore[arg-type]
             raise ConfigurationError(f"{self.name}: expected a finite number, got {value!r}")
-        below = self.minimum is not None and value < self.minimum
-        above = self.maximum is not None and value > self.maximum
+        below = self.minimum is not None and value < self.minimum  # type: ignore[operator]
+        above = self.maximum is not None and value > self.maximum  # type: ignore[operator]
         if below or above:
             raise ConfigurationError(
                 f"{self.name}: expected {self.minimum}..{self.maximum} {self.unit}".rstrip()
