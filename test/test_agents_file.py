@@ -1,0 +1,81 @@
+"""The agents file names a fleet once, for the launch file and for `topometric run`."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from topometric_ros.runtime.agents_file import (
+    AgentsFileError,
+    extractor_arguments,
+    merger_arguments,
+    parse_agents,
+    read_agents_file,
+)
+
+
+def test_an_agent_needs_only_an_id() -> None:
+    (agent,) = parse_agents({"agents": [{"id": "robot1"}]}).agents
+    assert (agent.namespace, agent.cloud, agent.mode) == ("/robot1", "cloud", "auto")
+    assert agent.map_topic == "/robot1/topometric_map"
+
+
+def test_nested_and_dotted_parameters_are_the_same() -> None:
+    nested = parse_agents({"agents": [{"id": "a", "params": {"rooms": {"range": 2.0}}}]})
+    dotted = parse_agents({"agents": [{"id": "a", "params": {"rooms.range": 2.0}}]})
+    assert nested == dotted
+
+
+def test_processes_get_their_arguments_from_the_file() -> None:
+    fleet = parse_agents(
+        {
+            "agents": [
+                {"id": "a", "cloud": "cloud_map", "params": {"voxel_size": 0.2}},
+                {"id": "b"},
+            ],
+            "extractor": {"params": {"voxel_size": 0.1, "preset": "thesis"}},
+            "merger": {"namespace": "/base", "params": {"global_frame": "world"}},
+        }
+    )
+    arguments = extractor_arguments(fleet, fleet.agents[0])
+    assert arguments[:5] == ["--ros-args", "-r", "__ns:=/a", "-r", "cloud:=cloud_map"]
+    values = dict(text.split(":=") for text in arguments[6::2])
+    assert {name: yaml.safe_load(value) for name, value in values.items()} == {
+        "voxel_size": 0.2,
+        "preset": "thesis",
+        "agent": "a",
+        "mode": "auto",
+    }
+    merger = merger_arguments(fleet)
+    assert "__ns:=/base" in merger
+    assert "global_frame:=world" in merger
+    assert "agents:=[/a, /b]" in merger
+
+
+@pytest.mark.parametrize(
+    ("tree", "message"),
+    [
+        (None, "at least one agent"),
+        ({"agents": []}, "at least one agent"),
+        ({"agents": [{"namespace": "/a"}]}, "needs an `id`"),
+        ({"agents": [{"id": "a b"}]}, "'a b' is no valid ROS name"),
+        ({"agents": [{"id": "a"}, {"id": "a"}]}, "id a is used more than once"),
+        ({"agents": [{"id": "a"}, {"id": "b", "namespace": "/a"}]}, "namespace /a is used"),
+        ({"agents": [{"id": "a", "mode": "fast"}]}, "expected one of auto, map, scan"),
+        ({"agents": [{"id": "a", "topic": "x"}]}, "unknown key 'topic'"),
+        ({"agents": [{"id": "a", "params": 3}]}, "expected names and values, got 3"),
+        ({"agents": [{"id": "a"}], "fleet": {}}, "unknown key 'fleet'"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_the_wrong_value(tree: object, message: str) -> None:
+    with pytest.raises(AgentsFileError, match=message):
+        parse_agents(tree)
+
+
+def test_an_unreadable_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(AgentsFileError, match="cannot read"):
+        read_agents_file(tmp_path / "missing.yaml")
+    (tmp_path / "bad.yaml").write_text("agents: [")
+    with pytest.raises(AgentsFileError) as caught:
+        read_agents_file(tmp_path / "bad.yaml")
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,204 @@
+"""The agents file: which extractors and which merger make up a fleet, for `launch` and `run` alike.
+
+    agents:
+      - id: robot1
+        namespace: /robot1       # default: /ID
+        cloud: cloud_map         # topic that `cloud` is remapped to; relative to the namespace
+        mode: auto               # auto, map or scan
+        params: {}               # parameters of this extractor, nested or dotted
+    extractor:
+      params: {}                 # parameters of every extractor
+    merger:
+      namespace: ""              # default: none
+      params: {global_frame: map}
+
+A file says everything that a process needs: :func:`extractor_arguments` and
+:func:`merger_arguments` turn it into the ROS arguments of the executables.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from topometric_ros.errors import TopometricError
+
+MODES = ("auto", "map", "scan")
+
+_TOKEN = r"[A-Za-z_][A-Za-z0-9_]*"
+_ID = re.compile(rf"^{_TOKEN}$")
+_NAMESPACE = re.compile(rf"^(/{_TOKEN})*/?$")
+_TOPIC = re.compile(rf"^/?{_TOKEN}(/{_TOKEN})*$")
+
+_AGENT_KEYS = ("id", "namespace", "cloud", "mode", "params")
+_ROOT_KEYS = ("agents", "extractor", "merger")
+
+
+class AgentsFileError(TopometricError):
+    """An agents file that cannot be read or that names something wrong."""
+
+
+@dataclass(frozen=True)
+class AgentEntry:
+    """One agent: its extractor's namespace, input topic, mode and own parameters (dotted)."""
+
+    id: str
+    namespace: str
+    cloud: str = "cloud"
+    mode: str = "auto"
+    params: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def map_topic(self) -> str:
+        """The topic that this agent's extractor publishes its topometric map on."""
+        return f"{self.namespace.rstrip('/')}/topometric_map"
+
+
+@dataclass(frozen=True)
+class AgentsFile:
+    """A fleet: its agents in order, the parameters of all extractors and those of the merger."""
+
+    agents: tuple[AgentEntry, ...]
+    extractor_params: Mapping[str, Any] = field(default_factory=dict)
+    merger_namespace: str = ""
+    merger_params: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_agents_file(path: Path | str) -> AgentsFile:
+    """Read and check an agents file.
+
+    Raises
+    ------
+    AgentsFileError
+        The file is missing, is not YAML, or holds an unknown key, a bad name or a duplicate.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise AgentsFileError(f"cannot read agents file {path}: {error}") from error
+    try:
+        tree = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        line = " ".join(str(error).split())
+        raise AgentsFileError(f"agents file {path} is not YAML: {line}") from error
+    return parse_agents(tree, str(path))
+
+
+def parse_agents(tree: Any, where: str = "agents file") -> AgentsFile:
+    """Check the content of an agents file; `where` begins every error message.
+
+    Raises
+    ------
+    AgentsFileError
+        As :func:`read_agents_file`.
+    """
+    root = _mapping(tree, _ROOT_KEYS, where)
+    entries = root.get("agents")
+    if not isinstance(entries, list) or not entries:
+        raise AgentsFileError(f"{where}: expected a list `agents` with at least one agent")
+    agents = tuple(_agent(entry, f"{where}: agents[{i}]") for i, entry in enumerate(entries))
+    for name in ("id", "namespace"):
+        values = [getattr(agent, name) for agent in agents]
+        twice = sorted({value for value in values if values.count(value) > 1})
+        if twice:
+            raise AgentsFileError(f"{where}: {name} {', '.join(twice)} is used more than once")
+    extractor = _mapping(root.get("extractor"), ("params",), f"{where}: extractor")
+    merger = _mapping(root.get("merger"), ("namespace", "params"), f"{where}: merger")
+    namespace = _text(merger, "namespace", "", _NAMESPACE, f"{where}: merger")
+    return AgentsFile(
+        agents=agents,
+        extractor_params=_params(extractor.get("params"), f"{where}: extractor"),
+        merger_namespace=namespace.rstrip("/"),
+        merger_params=_params(merger.get("params"), f"{where}: merger"),
+    )
+
+
+def extractor_arguments(fleet: AgentsFile, agent: AgentEntry) -> list[str]:
+    """Return the arguments with which `topometric-extractor` becomes this agent's extractor."""
+    params = {
+        **fleet.extractor_params,
+        **agent.params,
+        "agent": agent.id,
+        "mode": agent.mode,
+    }
+    arguments = ["--ros-args", "-r", f"__ns:={agent.namespace}"]
+    if agent.cloud != "cloud":
+        arguments += ["-r", f"cloud:={agent.cloud}"]
+    return arguments + _parameter_arguments(params)
+
+
+def merger_arguments(fleet: AgentsFile) -> list[str]:
+    """Return the arguments with which `topometric-merger` merges this fleet."""
+    arguments = ["--ros-args"]
+    if fleet.merger_namespace:
+        arguments += ["-r", f"__ns:={fleet.merger_namespace}"]
+    namespaces = [agent.namespace for agent in fleet.agents]
+    return arguments + _parameter_arguments({**fleet.merger_params, "agents": namespaces})
+
+
+def _parameter_arguments(params: Mapping[str, Any]) -> list[str]:
+    arguments: list[str] = []
+    for name, value in params.items():
+        flow = yaml.safe_dump(value, default_flow_style=True, width=float("inf"))
+        arguments += ["-p", f"{name}:={flow.removesuffix(chr(10)).removesuffix('...').strip()}"]
+    return arguments
+
+
+def _agent(entry: Any, where: str) -> AgentEntry:
+    tree = _mapping(entry, _AGENT_KEYS, where)
+    if "id" not in tree:
+        raise AgentsFileError(f"{where}: an agent needs an `id`")
+    name = _text(tree, "id", "", _ID, where)
+    namespace = _text(tree, "namespace", f"/{name}", _NAMESPACE, where)
+    mode = tree.get("mode", "auto")
+    if mode not in MODES:
+        raise AgentsFileError(f"{where}: mode: expected one of {', '.join(MODES)}, got {mode!r}")
+    return AgentEntry(
+        id=name,
+        namespace=f"/{namespace.strip('/')}",
+        cloud=_text(tree, "cloud", "cloud", _TOPIC, where),
+        mode=mode,
+        params=_params(tree.get("params"), where),
+    )
+
+
+def _mapping(tree: Any, known: tuple[str, ...], where: str) -> Mapping[str, Any]:
+    if tree is None:
+        return {}
+    if not isinstance(tree, Mapping):
+        raise AgentsFileError(f"{where}: expected keys {', '.join(known)}, got {tree!r}")
+    for key in tree:
+        if key not in known:
+            raise AgentsFileError(f"{where}: unknown key {key!r}; known: {', '.join(known)}")
+    return tree
+
+
+def _text(
+    tree: Mapping[str, Any], key: str, default: str, pattern: re.Pattern[str], where: str
+) -> str:
+    value = tree.get(key, default)
+    if not isinstance(value, str) or not pattern.match(value):
+        raise AgentsFileError(f"{where}: {key}: {value!r} is no valid ROS name")
+    return value
+
+
+def _params(tree: Any, where: str) -> dict[str, Any]:
+    """Return nested parameters as dotted names."""
+    if tree is None:
+        return {}
+    if not isinstance(tree, Mapping):
+        raise AgentsFileError(f"{where}: params: expected names and values, got {tree!r}")
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{key}.{name}": v for name, v in _params(value, where).items()}
+        elif isinstance(value, (bool, int, float, str, list)):
+            flat[str(key)] = value
+        else:
+            raise AgentsFileError(f"{where}: params.{key}: {value!r} is no parameter value")
+    return flat
