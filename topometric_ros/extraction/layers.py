@@ -1,0 +1,225 @@
+"""What each storey looks like from above: walls, furniture and seen-free floor as 0.1 m rasters.
+
+The rasters are what the global search slides over each other and what the verification reads.
+Their idea is that *free space decides*: a wall of one map that stands where the other saw nothing
+but floor disproves a pose, however well everything else fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from topometric_ros.configuration import parameter
+from topometric_ros.errors import TopometricError
+from topometric_ros.topometric_map import StoreyLayers
+
+CELL = 0.1
+"""Edge of a raster cell in metres: the thresholds below and in `matching` are made for it."""
+
+BIN = 0.05
+"""Height in metres of the bins whose number decides what is a wall and what is furniture."""
+
+_PADDING = 12
+"""Empty cells round each raster, so that closing and dilating never meet its edge."""
+
+_MOST_CELLS = 36_000_000
+"""600 m x 600 m: more is a stray point, and would take gigabytes."""
+
+
+class LayersError(TopometricError):
+    """A storey too wide for its rasters."""
+
+
+@dataclass(frozen=True)
+class LayersConfig:
+    """Heights above a storey's floor, and how full a column must be, to be wall or furniture."""
+
+    wall_bottom: float = parameter(
+        0.95, "Lower end of the band that walls fill.", unit="m", minimum=0.3, maximum=2.0
+    )
+    wall_top: float = parameter(
+        2.05, "Upper end of the band that walls fill.", unit="m", minimum=0.5, maximum=2.5
+    )
+    wall_bins: int = parameter(
+        4, "Occupied 5 cm bins of that band that make a cell a wall.", minimum=1, maximum=30
+    )
+    furniture_bottom: float = parameter(
+        0.2, "Lower end of the band that furniture fills.", unit="m", minimum=0.05, maximum=1.0
+    )
+    furniture_bins: int = parameter(
+        3, "Occupied 5 cm bins below the walls' band that make furniture.", minimum=1, maximum=30
+    )
+    floor_tolerance: float = parameter(
+        0.12,
+        "Points this near to the floor's height are floor.",
+        unit="m",
+        minimum=0.02,
+        maximum=0.3,
+    )
+    floor_closing: int = parameter(
+        3, "Radius in cells of the disk that closes gaps in the seen floor.", minimum=0, maximum=10
+    )
+    floor_search_below: float = parameter(
+        0.1, "How far below a proposed floor its exact height is sought.", unit="m", minimum=0.0,
+        maximum=0.5,
+    )  # fmt: skip
+    floor_search_above: float = parameter(
+        0.4, "How far above a proposed floor its exact height is sought.", unit="m", minimum=0.0,
+        maximum=1.0,
+    )  # fmt: skip
+    floor_share: float = parameter(
+        0.3, "The floor is the highest 2 cm bin with this share of the fullest.", minimum=0.05,
+        maximum=1.0,
+    )  # fmt: skip
+
+
+def disk(radius: int) -> NDArray[np.bool_]:
+    """Return a disk of cells, (2 radius + 1, 2 radius + 1) bool."""
+    x, y = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    return x * x + y * y <= radius * radius + radius
+
+
+def refine_floor(points: NDArray[np.float64], z: float, config: LayersConfig) -> float:
+    """Return a floor's height to 2 cm.
+
+    A slab has two faces and a floor stands on the upper one, so it is the highest bin that holds
+    a fair share of the fullest, not the fullest itself.
+
+    Parameters
+    ----------
+    points : (P, 3) float64, m, level frame, thinned
+    z : height of the proposed floor, m
+
+    Returns
+    -------
+    Height in m, or `z` where no point lies in the range that is searched.
+    """
+    step = 0.02
+    above = points[:, 2] - z
+    near = above[(above > -config.floor_search_below) & (above < config.floor_search_above)]
+    if len(near) == 0:
+        return float(z)
+    bins = np.floor((near + config.floor_search_below) / step).astype(np.int64)
+    counts = np.bincount(bins)
+    # Noise may put the floor on the border of two bins; a window of two keeps its peak whole.
+    pairs = counts + np.append(counts[1:], 0)
+    top = int(np.flatnonzero(pairs >= config.floor_share * pairs.max())[-1])
+    window = near[(bins == top) | (bins == top + 1)]
+    return float(z + np.median(window))
+
+
+def storey_layers(
+    points: NDArray[np.float64], floors: Sequence[float], config: LayersConfig
+) -> tuple[StoreyLayers, ...]:
+    """Return the bird's-eye rasters of every storey.
+
+    A cell is *wall* where enough 5 cm bins of the band 0.95-2.05 m above the floor are occupied,
+    *furniture* where enough of 0.2-0.95 m are and no wall is next to it, *free* where floor was
+    seen (small gaps closed) with no point in the walls' band and no wall next to it, and *bare*
+    where it is free with no point above 0.2 m either.
+
+    Parameters
+    ----------
+    points : (P, 3) float64, m, level frame, thinned to about 5 cm
+    floors : heights of the floors, m, as :func:`refine_floor` gives them
+    config : LayersConfig
+
+    Returns
+    -------
+    One StoreyLayers a floor, in the order of `floors`. Cell centres are integer multiples of 0.1 m
+    in the level frame, so a growing map keeps its cells; each raster is cropped to what it holds.
+
+    Raises
+    ------
+    LayersError
+        A storey spans more than 600 m x 600 m.
+    """
+    columns = np.floor(points[:, :2] / CELL + 0.5).astype(np.int64)
+    return tuple(_layers_of_storey(columns, points[:, 2] - z, config) for z in floors)
+
+
+def _layers_of_storey(
+    columns: NDArray[np.int64], heights: NDArray[np.float64], config: LayersConfig
+) -> StoreyLayers:
+    """Rasters of one storey; `heights` (P,) are metres above its floor."""
+    band = (heights > -config.floor_tolerance) & (heights < config.wall_top)
+    columns, heights = columns[band], heights[band]
+    if len(columns) == 0:
+        empty = np.zeros((1, 1), bool)
+        return StoreyLayers(CELL, (0.0, 0.0), empty, empty, empty, empty)
+    low = columns.min(axis=0) - _PADDING
+    shape = columns.max(axis=0) - low + 1 + _PADDING
+    if int(shape[0]) * int(shape[1]) > _MOST_CELLS:
+        raise LayersError(
+            f"a storey spans {shape[0] * CELL:.0f} m x {shape[1] * CELL:.0f} m: "
+            "remove the points far outside the building"
+        )
+    wall_bins, furniture_bins, floor = _count_bins(
+        columns - low,
+        heights,
+        (int(shape[0]), int(shape[1])),
+        config.wall_bottom,
+        config.furniture_bottom,
+        config.floor_tolerance,
+    )
+    wall = wall_bins >= config.wall_bins
+    beside_wall = ndimage.binary_dilation(wall, np.ones((3, 3), bool))
+    furniture = (furniture_bins >= config.furniture_bins) & ~beside_wall
+    closed = ndimage.binary_closing(floor, disk(config.floor_closing))
+    free = closed & ~beside_wall & (wall_bins == 0)
+    bare = free & (furniture_bins == 0)
+    return _cropped(low, wall, furniture, free, bare)
+
+
+def _cropped(low: NDArray[np.int64], *masks: NDArray[np.bool_]) -> StoreyLayers:
+    """Cut the four masks to the smallest rectangle that holds all that is set in any."""
+    seen = masks[0] | masks[1] | masks[2] | masks[3]
+    if not seen.any():
+        empty = np.zeros((1, 1), bool)
+        return StoreyLayers(CELL, (0.0, 0.0), empty, empty, empty, empty)
+    rows, cols = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+    window = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+    origin = (float((low[0] + rows[0]) * CELL), float((low[1] + cols[0]) * CELL))
+    wall, furniture, free, bare = (np.ascontiguousarray(mask[window]) for mask in masks)
+    return StoreyLayers(CELL, origin, wall, furniture, free, bare)
+
+
+@njit(cache=True, nogil=True)
+def _count_bins(  # type: ignore[no-untyped-def]
+    columns, heights, shape, wall_bottom, furniture_bottom, floor_tolerance
+):
+    """Count each cell's occupied bins in the walls' and furniture's bands; mark seen floor."""
+    wall_bits = np.zeros(shape, np.uint64)
+    furniture_bits = np.zeros(shape, np.uint64)
+    floor = np.zeros(shape, np.bool_)
+    for p in range(len(heights)):
+        i, j, z = columns[p, 0], columns[p, 1], heights[p]
+        if z >= wall_bottom:
+            wall_bits[i, j] |= np.uint64(1) << np.uint64((z - wall_bottom) / BIN)
+        elif z >= furniture_bottom:
+            furniture_bits[i, j] |= np.uint64(1) << np.uint64((z - furniture_bottom) / BIN)
+        if abs(z) < floor_tolerance:
+            floor[i, j] = True
+    wall_bins = np.zeros(shape, np.uint8)
+    furniture_bins = np.zeros(shape, np.uint8)
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            wall_bins[i, j] = _ones(wall_bits[i, j])
+            furniture_bins[i, j] = _ones(furniture_bits[i, j])
+    return wall_bins, furniture_bins, floor
+
+
+@njit(cache=True, nogil=True)
+def _ones(bits):  # type: ignore[no-untyped-def]
+    """Count the bits that are set."""
+    count = 0
+    while bits:
+        bits &= bits - np.uint64(1)
+        count += 1
+    return count
