@@ -1,0 +1,253 @@
+"""Storeys by headroom: a floor is where much has room to stand above it, a ceiling where that ends.
+
+Everything is read from columns of 0.1 m voxels: how many cells are free above each voxel. Heights
+in the recipe are cells of that size; the results are metres, as fine as the points allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.configuration import parameter
+from topometric_ros.extraction.columns import Columns
+
+RASTER = 0.1
+"""Edge (m) of the voxels that storeys and rooms are read from, whatever the map's voxel size."""
+
+
+@dataclass(frozen=True)
+class StoreyConfig:
+    """How floors and ceilings are told from tables, shelves and slabs."""
+
+    headroom: float = parameter(
+        1.9, "Free height above a floor.", unit="m", minimum=1.0, maximum=3.0
+    )
+    tallest: float = parameter(
+        8.0, "Largest free height that still has a ceiling.", unit="m", minimum=3.0, maximum=50.0
+    )
+    smallest_share: float = parameter(
+        0.06, "Smallest floor as a share of the largest.", minimum=0.0, maximum=1.0
+    )
+    smallest_area: float = parameter(1.0, "Smallest floor.", unit="m²", minimum=0.05, maximum=100.0)
+    separation: float = parameter(
+        1.8, "Smallest height between two floors.", unit="m", minimum=1.0, maximum=5.0
+    )
+    roofless_share: float = parameter(
+        0.3,
+        "Smallest floor that has no ceiling, as a share of the largest level with headroom.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    roofless_separation: float = parameter(
+        2.0,
+        "Smallest height between a floor with no ceiling and other floors.",
+        unit="m",
+        minimum=1.0,
+        maximum=5.0,
+    )
+    standing_share: float = parameter(
+        0.15,
+        "Walls and furniture above a floor with no ceiling, as a share of the most above any.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    ceiling_share: float = parameter(
+        0.05,
+        "Smallest ceiling, as a share of the floor below that has headroom.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    usual_height: float = parameter(
+        2.7, "Ceiling above the floor where none was seen.", unit="m", minimum=1.9, maximum=6.0
+    )
+
+
+@dataclass(frozen=True)
+class StoreyHeights:
+    """One storey: `floor` and `ceiling` in m, level frame.
+
+    `ceiling` is where the storey's space is taken to end, `ceiling_seen` whether a ceiling was.
+    """
+
+    floor: float
+    ceiling: float
+    ceiling_seen: bool
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """Histograms over z, each summed over three bins; index 0 is the cell `bottom`."""
+
+    bottom: int
+    floors: NDArray[np.int64]
+    """F: voxels with headroom and something above it."""
+    ceilings: NDArray[np.int64]
+    """G: what bounds those gaps above."""
+    open: NDArray[np.int64]
+    """F2: voxels with headroom, whether or not there is something above it."""
+    standing: NDArray[np.int64]
+    """Voxels of walls and furniture 0.3 to 1.5 m above."""
+
+
+def _levels(columns: Columns, config: StoreyConfig) -> _Levels:
+    room = round(config.headroom / RASTER)
+    tall = round(config.tallest / RASTER)
+    bottom = int(columns.z.min()) - 1
+    size = int(columns.z.max()) - bottom + 2
+    z = columns.z - bottom
+    covered = (columns.above >= room) & (columns.above <= tall)
+    # A gap of `room` cells between centres leaves room - 1 of them free.
+    free = columns.above > room
+    upright = np.bincount(z[~columns.horizontal], minlength=size)
+    total = np.concatenate([[0], np.cumsum(upright)])
+    low = np.minimum(np.arange(size) + 3, size)
+    high = np.minimum(np.arange(size) + 16, size)
+    return _Levels(
+        bottom=bottom,
+        floors=_three(np.bincount(z[covered], minlength=size)),
+        ceilings=_three(np.bincount((z + columns.above)[covered], minlength=size)),
+        open=_three(np.bincount(z[free], minlength=size)),
+        standing=total[high] - total[low],
+    )
+
+
+def _three(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Sum each bin with its two neighbours."""
+    padded = np.pad(counts, 1)
+    return padded[:-2] + padded[1:-1] + padded[2:]
+
+
+def _maxima(counts: NDArray[np.int64], least: float) -> list[int]:
+    """Return the bins that are local maxima and reach `least`, largest first, ties lowest first.
+
+    On a plateau the middle bin is the maximum.
+    """
+    found = []
+    i = 0
+    while i < len(counts):
+        j = i
+        while j + 1 < len(counts) and counts[j + 1] == counts[i]:
+            j += 1
+        left = counts[i - 1] if i else -1
+        right = counts[j + 1] if j + 1 < len(counts) else -1
+        if counts[i] >= max(least, 1) and counts[i] > left and counts[i] > right:
+            found.append((i + j) // 2)
+        i = j + 1
+    return sorted(found, key=lambda b: (-counts[b], b))
+
+
+def _is_top_of_ceiling(levels: _Levels, level: int) -> bool:
+    """Whether a level with headroom above is rather a ceiling with the true floor just above it."""
+    floors, ceilings = levels.floors, levels.ceilings
+    if ceilings[level] <= floors[level]:
+        return False
+    above = slice(level + 3, level + 10)
+    return bool(np.any((floors[above] >= 0.3 * floors[level]) & (ceilings[above] < floors[above])))
+
+
+def _floor_levels(levels: _Levels, config: StoreyConfig) -> list[int]:
+    """Return the cells of the floors, lowest first (change B of the recipe)."""
+    area = config.smallest_area / RASTER**2
+    apart = round(config.separation / RASTER)
+    least = max(config.smallest_share * levels.floors.max(), area)
+    floors: list[int] = []
+    for level in _maxima(levels.floors, least):
+        if all(abs(level - f) >= apart for f in floors) and not _is_top_of_ceiling(levels, level):
+            floors.append(level)
+    apart = round(config.roofless_separation / RASTER)
+    candidates = _maxima(levels.open, max(config.roofless_share * levels.open.max(), area))
+    most = max((levels.standing[c] for c in candidates + floors), default=0)
+    for level in candidates:
+        clear = all(abs(level - f) >= apart for f in floors)
+        if clear and levels.standing[level] >= config.standing_share * most:
+            floors.append(level)
+    return sorted(floors)
+
+
+def _ceiling_level(
+    columns: Columns, floor: int, following: int | None, config: StoreyConfig
+) -> tuple[int, bool]:
+    """Return the cell of the ceiling over the floor at cell `floor`, and whether it was seen.
+
+    Door lintels alone, where a scanner saw no ceiling, are too few to be one.
+    """
+    room = round(config.headroom / RASTER)
+    tall = round(config.tallest / RASTER)
+    near = np.abs(columns.z - floor) <= 2
+    starts = near & (columns.above >= room) & (columns.above <= tall)
+    counts = _three(np.bincount((columns.z + columns.above)[starts] - floor, minlength=1))
+    ceiling = int(np.argmax(counts))
+    open_area = np.count_nonzero(near & (columns.above > room))
+    seen = bool(counts[ceiling] > config.ceiling_share * open_area)
+    ceiling = floor + (ceiling if seen else round(config.usual_height / RASTER))
+    if following is not None and ceiling > following:
+        return following, seen
+    return ceiling, seen
+
+
+def find_storeys(
+    columns: Columns,
+    heights: NDArray[np.float64],
+    origin_z: float,
+    config: StoreyConfig,
+) -> tuple[StoreyHeights, ...]:
+    """Find the floors and ceilings of a building, lowest first.
+
+    Parameters
+    ----------
+    columns : columns of 0.1 m voxels
+    heights : (N,) float64, m, mean height of the points seen in each voxel
+    origin_z : m, height of the centres of the voxels with z = 0
+
+    Returns
+    -------
+    The storeys; empty where nothing has headroom above it over the smallest area.
+    """
+    levels = _levels(columns, config)
+    floors = [level + levels.bottom for level in _floor_levels(levels, config)]
+    storeys = []
+    for floor, following in zip(floors, [*floors[1:], None], strict=False):
+        ceiling, seen = _ceiling_level(columns, floor, following, config)
+        floor_z = _fine_height(columns, heights, floor, columns.above >= 10)
+        ceiling_z = origin_z + ceiling * RASTER
+        if seen and ceiling != following:
+            ceiling_z = _fine_height(columns, heights, ceiling, columns.below >= 10)
+        storeys.append(StoreyHeights(floor_z, max(ceiling_z, floor_z + 1.0), seen))
+    return tuple(storeys)
+
+
+def _fine_height(
+    columns: Columns, heights: NDArray[np.float64], level: int, facing: NDArray[np.bool_]
+) -> float:
+    """Return the median height of the voxels of a level that face the storey's free space."""
+    near = np.abs(columns.z - level) <= 1
+    chosen = heights[near & facing]
+    return float(np.median(chosen if len(chosen) else heights[near]))
+
+
+def assign_storeys(
+    columns: Columns, heights: NDArray[np.float64], storeys: Sequence[StoreyHeights]
+) -> NDArray[np.int32]:
+    """Return the index of the storey of every voxel: (N,) int32; below the lowest floor 0.
+
+    Inside a slab, between a ceiling and the next floor, what is seen from above belongs to the
+    upper storey and what is seen from below to the lower one; the rest to the nearer surface.
+    """
+    storey = np.zeros(len(columns.z), np.int32)
+    meter = round(1.0 / RASTER)
+    free_above, free_below = columns.above > meter, columns.below > meter
+    for index in range(1, len(storeys)):
+        c, f = storeys[index - 1].ceiling, storeys[index].floor
+        upper = heights >= (c + f) / 2
+        seen_above = free_above & ~free_below
+        seen_below = free_below & ~free_above
+        upper[seen_above] = heights[seen_above] >= f - 3 * RASTER
+        upper[seen_below] = heights[seen_below] >= f + 2 * RASTER
+        upper[heights > f + RASTER] = True
+        upper[heights < c - RASTER] = False
+        storey[upper] = index
+    return storey
