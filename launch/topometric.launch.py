@@ -1,0 +1,84 @@
+"""Start one extractor for each agent and one merger, all named in an agents file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.action import Action
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from topometric_ros.runtime.agents_file import (
+    extractor_arguments,
+    merger_arguments,
+    read_agents_file,
+)
+
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments, and the processes that follow from them."""
+    config = Path(get_package_share_directory("topometric_ros"), "config")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "agents_file",
+                default_value=str(config / "agents.yaml"),
+                description="YAML file that names the agents, their namespaces and their clouds",
+            ),
+            DeclareLaunchArgument(
+                "params_file",
+                default_value="",
+                description="ROS parameter file for all nodes; where both speak, the agents file wins",
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                description="take the time from /clock, for bags played with --clock",
+            ),
+            DeclareLaunchArgument(
+                "log_level",
+                default_value="info",
+                description="debug, info, warn, error or fatal",
+            ),
+            DeclareLaunchArgument(
+                "fastdds_profile",
+                default_value=str(config / "fastdds_large_clouds.xml"),
+                description="Fast DDS profile, unless the environment names one; empty: none",
+            ),
+            OpaqueFunction(function=_processes),
+        ]
+    )
+
+
+def _processes(context: LaunchContext) -> list[Action]:
+    value = {
+        name: LaunchConfiguration(name).perform(context)
+        for name in ("agents_file", "params_file", "use_sim_time", "log_level", "fastdds_profile")
+    }
+    common = ["--ros-args", "--log-level", value["log_level"]]
+    common += ["-p", f"use_sim_time:={value['use_sim_time'].lower()}"]
+    if value["params_file"]:
+        common += ["--params-file", value["params_file"]]
+    fleet = read_agents_file(value["agents_file"])
+    actions: list[Action] = []
+    if value["fastdds_profile"] and PROFILE_VARIABLE not in os.environ:
+        actions.append(SetEnvironmentVariable(PROFILE_VARIABLE, value["fastdds_profile"]))
+    actions += [
+        _node("extractor", common + extractor_arguments(fleet, agent)) for agent in fleet.agents
+    ]
+    return [*actions, _node("merger", common + merger_arguments(fleet))]
+
+
+def _node(executable: str, arguments: list[str]) -> Node:
+    return Node(
+        package="topometric_ros",
+        executable=executable,
+        arguments=arguments,
+        output="screen",
+    )

@@ -1,0 +1,222 @@
+"""Real processes over DDS for tests: a private graph, node processes, and a bag player.
+
+Import this only where rclpy is known to be there; :func:`missing` says whether it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+
+_DOMAIN_ID = 1 + os.getpid() % 100
+"""Of this test run alone, so that runs beside each other do not talk."""
+
+
+def missing() -> str:
+    """Return why tests that need ROS cannot run here, or an empty string."""
+    for module in ("rclpy", "topometric_msgs", "tf2_msgs"):
+        if importlib.util.find_spec(module) is None:
+            return f"{module} is not installed (`make` installs it)"
+    return ""
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of every process of the private graph."""
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(_DOMAIN_ID),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+class NodeProcess:
+    """One node of this package as a process of its own, its output in a file."""
+
+    def __init__(self, module: str, arguments: list[str], log: Path) -> None:
+        self.log_path = log
+        self._log = log.open("w")
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            env=environment(),
+            stdout=self._log,
+            stderr=subprocess.STDOUT,
+        )
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process is still running."""
+        return self._process.poll() is None
+
+    @property
+    def log(self) -> str:
+        """What the process has said so far."""
+        return self.log_path.read_text()
+
+    def stop(self, number: int = signal.SIGTERM, limit_s: float = 20.0) -> int:
+        """Send a signal and return the exit status; a process that stays is killed."""
+        if self.alive:
+            self._process.send_signal(number)
+        return self.wait(limit_s)
+
+    def wait(self, limit_s: float) -> int:
+        """Return the exit status of a process that ends by itself."""
+        try:
+            return self._process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            raise AssertionError(f"still running after {limit_s} s:\n{self.log}") from None
+        finally:
+            self._log.close()
+
+
+class Received:
+    """The messages that a subscription got, in order."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+
+    @property
+    def last(self) -> Any:
+        """The newest message."""
+        return self.messages[-1]
+
+    def __len__(self) -> int:
+        return len(self.messages)
+
+
+class Graph:
+    """The test's own node on the private graph, spun in the background."""
+
+    def __init__(self, name: str = "test") -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        self._context = rclpy.Context()
+        with _environment_of_graph():
+            rclpy.init(context=self._context, domain_id=_DOMAIN_ID)
+            self.node = rclpy.create_node(name, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._stopping:
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._stopping = True
+        self._thread.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.shutdown()
+
+    def subscribe(self, message_type: Any, topic: str, profile: Any) -> Received:
+        """Collect the messages of a topic."""
+        received = Received()
+        self.node.create_subscription(message_type, topic, received.messages.append, profile)
+        return received
+
+    def call(self, service_type: Any, name: str, request: Any, limit_s: float = 60.0) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(service_type, name)
+        assert client.wait_for_service(limit_s), f"no service {name} within {limit_s} s"
+        future = client.call_async(request)
+        wait_for(future.done, limit_s, f"an answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
+
+@contextlib.contextmanager
+def graph() -> Iterator[Graph]:
+    """Yield the test's own node on the private graph."""
+    own = Graph()
+    try:
+        yield own
+    finally:
+        own.close()
+
+
+@contextlib.contextmanager
+def _environment_of_graph() -> Iterator[None]:
+    before = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+        else:
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = before
+
+
+def wait_for(
+    condition: Callable[[], Any],
+    limit_s: float,
+    what: str,
+    processes: tuple[NodeProcess, ...] = (),
+) -> Any:
+    """Return the first true value of `condition`; fail with the processes' logs after `limit_s`."""
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.05)
+    logs = "".join(f"\n--- {process.log_path.name}\n{process.log}" for process in processes)
+    raise AssertionError(f"no {what} within {limit_s} s{logs}")
+
+
+def play_bag(own: Graph, bag: Path, rate: float = 1.0, limit_s: float = 30.0) -> list[Any]:
+    """Publish a recorded bag with its recorded quality of service and in its recorded rhythm.
+
+    Waits until every topic has a subscriber. Returns the publishers: latched topics need them
+    to stay, and the caller destroys them.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        publishers = {c.id: _publisher(own.node, c) for c in reader.connections}
+        for connection in reader.connections:
+            publisher = publishers[connection.id]
+            if connection.topic != "/tf" and not connection.topic.startswith("/tf_"):
+                wait_for(publisher.get_subscription_count, limit_s, f"reader of {connection.topic}")
+        begin, first = time.monotonic(), None
+        for connection, stamp, raw in reader.messages():
+            first = stamp if first is None else first
+            delay = begin + (stamp - first) / 1e9 / rate - time.monotonic()
+            time.sleep(max(delay, 0.0))
+            publishers[connection.id].publish(bytes(raw))
+    return list(publishers.values())
+
+
+def _publisher(node: Any, connection: Any) -> Any:
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    (offered, *_) = connection.ext.offered_qos_profiles
+    profile = QoSProfile(
+        depth=offered.depth or 10,
+        reliability=ReliabilityPolicy(int(offered.reliability.value)),
+        durability=DurabilityPolicy(int(offered.durability.value)),
+    )
+    package, _, name = connection.msgtype.split("/")
+    message_type = getattr(importlib.import_module(f"{package}.msg"), name)
+    return node.create_publisher(message_type, connection.topic, profile)
