@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchContext, LaunchDescription
 from launch.action import Action
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from launch import LaunchContext, LaunchDescription
 from topometric_ros.runtime.agents_file import (
     extractor_arguments,
     merger_arguments,
@@ -34,7 +34,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "params_file",
                 default_value="",
-                description="ROS parameter file for all nodes; where both speak, the agents file wins",
+                description="ROS parameter file for all nodes; the agents file wins over it",
             ),
             DeclareLaunchArgument(
                 "use_sim_time",

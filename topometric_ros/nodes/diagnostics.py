@@ -1,4 +1,4 @@
-"""What an operator sees on `/diagnostics`: one status for each thing that can go wrong by itself."""
+"""What an operator sees on `/diagnostics`: a status for each thing that can go wrong by itself."""
 
 from __future__ import annotations
 

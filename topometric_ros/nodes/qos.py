@@ -9,7 +9,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 CLOUD_QOS_CHOICES = ("auto", "reliable", "best_effort")
 
 _CLOUD_DEPTH = 10
-"""Clouds come in bursts (a bag's first second, a robot's relocalisation); ten scans are a second."""
+"""Clouds come in bursts; ten scans are what a usual scanner makes in a second."""
 
 
 def _profile(reliable: bool, latched: bool, depth: int) -> QoSProfile:
@@ -66,6 +66,4 @@ def same_profile(a: QoSProfile, b: QoSProfile) -> bool:
 
 def describe(profile: QoSProfile) -> str:
     """Return a profile in words, for the log: ``reliable, transient local``."""
-    reliable = profile.reliability == ReliabilityPolicy.RELIABLE
-    latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    return f"{'reliable' if reliable else 'best effort'}, {'transient local' if latched else 'volatile'}"
+    return f"{profile.reliability.name}, {profile.durability.name}".replace("_", " ").lower()
