@@ -1,0 +1,33 @@
+"""Unbalanced assignment of rooms by their distance in feature space (thesis eq. 49-52)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+
+def cost_matrix(
+    features_a: NDArray[np.float64], features_b: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the Euclidean distance of every pair of rooms: (R_a, R_b) float64 (eq. 50-51)."""
+    if len(features_a) == 0 or len(features_b) == 0:
+        return np.zeros((len(features_a), len(features_b)))
+    return cdist(features_a, features_b)
+
+
+def assign(cost: NDArray[np.float64]) -> list[tuple[int, int, float]]:
+    """Return the one-to-one pairs of least total cost, by rising cost (eq. 52).
+
+    As many pairs as the smaller side has rooms (Jonker & Volgenant 1987, rectangular form by
+    Crouse 2016).
+
+    Examples
+    --------
+    >>> assign(np.array([[3.0, 1.0, 2.0], [1.0, 5.0, 4.0]]))
+    [(0, 1, 1.0), (1, 0, 1.0)]
+    """
+    rows, columns = linear_sum_assignment(cost)
+    pairs = [(int(i), int(j), float(cost[i, j])) for i, j in zip(rows, columns, strict=True)]
+    return sorted(pairs, key=lambda pair: (pair[2], pair[0], pair[1]))
