@@ -1,0 +1,253 @@
+"""What tells a doorway from a bend: features of every two pieces of floor that touch.
+
+At the narrowest place between two pieces, the saddle, the walls on both sides are examined, and
+how much of each piece sees the other is counted: the thesis' mutual visibility (§4.2.8), used to
+merge pieces instead of to cluster views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from topometric_ros.extraction.walls import StoreyRaster
+
+_CORNER_RADIUS = 4.5
+_LINE_CELLS = 8
+_LINE_MISSES = 2
+_OPPOSITE_COSINE = float(np.cos(np.radians(50.0)))
+
+
+@dataclass(frozen=True)
+class PairFeatures:
+    """Touching pieces; pieces are numbered from 0, row k of every array is one pair a < b.
+
+    `saddle` is the distance from the walls at the widest point of their common border (cells),
+    `corner` the larger wall-free share round the two wall ends there, `line` how far the walls go
+    on beyond them, 0 to 1. `seen` and `pairs` (K, K) int64 count, for all pieces, the sample pairs
+    within range and those that see each other; `peak` (K,) is the largest distance of each piece.
+    """
+
+    a: NDArray[np.int64]
+    b: NDArray[np.int64]
+    saddle: NDArray[np.float64]
+    corner: NDArray[np.float64]
+    line: NDArray[np.float64]
+    peak: NDArray[np.float64]
+    pairs: NDArray[np.int64]
+    seen: NDArray[np.int64]
+
+
+def pair_features(
+    raster: StoreyRaster,
+    pieces: NDArray[np.int32],
+    sample_step: int,
+    view_range: float,
+    reach: float = 5.0,
+) -> PairFeatures:
+    """Measure every two touching pieces.
+
+    Parameters
+    ----------
+    raster : the storey
+    pieces : (nx, ny) int32, pieces numbered from 1, 0 none
+    sample_step, view_range : cells between the points that look, and how far they look
+    reach : cells by which pieces are extended before they are tested for touching
+    """
+    count = int(pieces.max())
+    numbers = np.arange(1, count + 1)
+    peak = np.asarray(ndimage.maximum(raster.distance, pieces, numbers), dtype=np.float64)
+    pair, saddle, cells = _saddles(extended(pieces, reach), raster.distance)
+    corner, line = _openings(raster.wall, cells)
+    points, owner = _samples(raster.distance, pieces, sample_step)
+    shape = (count, count)
+    pairs, seen = _visibility(
+        raster.wall, points, owner, view_range**2, np.zeros((2, *shape), np.int64)
+    )
+    return PairFeatures(pair[:, 0], pair[:, 1], saddle, corner, line, peak, pairs, seen)
+
+
+def extended(labels: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
+    """Give cells without a label (0) that of the nearest labelled cell within `reach` cells."""
+    if not labels.any():
+        return labels.copy()
+    distance, (x, y) = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    return np.where(distance <= reach, labels[x, y], 0).astype(np.int32)
+
+
+def _saddles(
+    labels: NDArray[np.int32], distance: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return pairs (P, 2), numbered from 0, the widths of their saddles (P,) and cells (P, 2)."""
+    parts = []
+    x, y = np.indices(labels.shape)
+    for near, far in (
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+    ):
+        one, other = labels[near], labels[far]
+        narrow = np.minimum(distance[near], distance[far])
+        touch = (one != other) & (one > 0) & (other > 0) & (narrow > 0)
+        at_near = distance[near] <= distance[far]
+        parts.append(
+            np.stack(
+                [
+                    np.minimum(one, other)[touch] - 1,
+                    np.maximum(one, other)[touch] - 1,
+                    narrow[touch],
+                    np.where(at_near, x[near], x[far])[touch],
+                    np.where(at_near, y[near], y[far])[touch],
+                ],
+                -1,
+            )
+        )
+    rows = np.concatenate(parts)
+    rows = rows[np.lexsort((rows[:, 4], rows[:, 3], -rows[:, 2], rows[:, 1], rows[:, 0]))]
+    first = np.ones(len(rows), bool)
+    first[1:] = np.any(np.diff(rows[:, :2], axis=0) != 0, axis=1)
+    rows = rows[first]
+    return rows[:, :2].astype(np.int64), rows[:, 2], rows[:, 3:].astype(np.int64)
+
+
+def _openings(
+    wall: NDArray[np.bool_], cells: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how wall-free the ends of each opening are and how far the walls go on beyond."""
+    if not wall.any():
+        return np.full(len(cells), 0.5), np.zeros(len(cells))
+    nearest = ndimage.distance_transform_edt(~wall, return_distances=False, return_indices=True)
+    corner, line = np.empty(len(cells)), np.empty(len(cells))
+    for row, (i, j) in enumerate(cells):
+        corner[row], line[row] = _opening(wall, i, j, nearest[0, i, j], nearest[1, i, j])
+    return corner, line
+
+
+@njit(cache=True, nogil=True)
+def _opening(wall, i, j, x, y):  # type: ignore[no-untyped-def]
+    """Examine the opening at saddle (i, j) whose nearest wall cell is (x, y)."""
+    ux, uy = float(i - x), float(j - y)
+    length = np.sqrt(ux * ux + uy * uy)
+    limit = 2.2 * length + 1.0
+    best, best_x, best_y = limit * limit + 1e-9, -1, -1
+    reach = int(limit)
+    for a in range(max(0, i - reach), min(wall.shape[0], i + reach + 1)):
+        for b in range(max(0, j - reach), min(wall.shape[1], j + reach + 1)):
+            if not wall[a, b]:
+                continue
+            vx, vy = float(a - i), float(b - j)
+            square = vx * vx + vy * vy
+            along = vx * ux + vy * uy
+            if square < best and along >= _OPPOSITE_COSINE * length * np.sqrt(square):
+                best, best_x, best_y = square, a, b
+    corner = _free_share(wall, x, y)
+    if best_x < 0:
+        return max(corner, 0.5), 0.0
+    corner = max(corner, _free_share(wall, best_x, best_y))
+    line = max(_continuation(wall, best_x, best_y, x, y), _continuation(wall, x, y, best_x, best_y))
+    return corner, line
+
+
+@njit(cache=True, nogil=True)
+def _free_share(wall, x, y):  # type: ignore[no-untyped-def]
+    """Share of a 0.45 m disk that is no wall."""
+    reach = int(_CORNER_RADIUS)
+    cells, free = 0, 0
+    for di in range(-reach, reach + 1):
+        for dj in range(-reach, reach + 1):
+            if di * di + dj * dj > _CORNER_RADIUS * _CORNER_RADIUS:
+                continue
+            cells += 1
+            a, b = x + di, y + dj
+            inside = 0 <= a < wall.shape[0] and 0 <= b < wall.shape[1]
+            if not (inside and wall[a, b]):
+                free += 1
+    return free / cells
+
+
+@njit(cache=True, nogil=True)
+def _continuation(wall, from_x, from_y, x, y):  # type: ignore[no-untyped-def]
+    """Share of the cells beyond (x, y), seen from the other end, that have wall around them."""
+    dx, dy = float(x - from_x), float(y - from_y)
+    length = np.sqrt(dx * dx + dy * dy)
+    if length == 0.0:
+        return 0.0
+    hits, misses = 0, 0
+    for step in range(1, _LINE_CELLS + 1):
+        a = int(np.floor(x + dx / length * step + 0.5))
+        b = int(np.floor(y + dy / length * step + 0.5))
+        hit = False
+        for i in range(max(0, a - 1), min(wall.shape[0], a + 2)):
+            for j in range(max(0, b - 1), min(wall.shape[1], b + 2)):
+                hit = hit or wall[i, j]
+        if hit:
+            hits += 1
+        else:
+            misses += 1
+            if misses == _LINE_MISSES:
+                break
+    return hits / _LINE_CELLS
+
+
+def _samples(
+    distance: NDArray[np.float64], pieces: NDArray[np.int32], step: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the points that look, (S, 2) cells, and their pieces (S,): a lattice and the peaks."""
+    chosen = np.zeros(pieces.shape, bool)
+    chosen[::step, ::step] = distance[::step, ::step] >= 1.5
+    count = int(pieces.max())
+    peaks = ndimage.maximum_position(distance, pieces, np.arange(1, count + 1))
+    chosen[tuple(np.asarray(peaks, dtype=np.int64).reshape(-1, 2).T)] = True
+    chosen &= pieces > 0
+    points = np.argwhere(chosen)
+    return points, pieces[chosen].astype(np.int64) - 1
+
+
+@njit(cache=True, nogil=True)
+def _visibility(wall, points, owner, square_range, counts):  # type: ignore[no-untyped-def]
+    """Count the pairs of points within range, and those that see each other, for every two pieces.
+
+    `counts` is (2, K, K), zero: pairs and seeing pairs, symmetric.
+    """
+    for one in range(len(points)):
+        for other in range(one):
+            dx = points[one, 0] - points[other, 0]
+            dy = points[one, 1] - points[other, 1]
+            if dx * dx + dy * dy > square_range:
+                continue
+            a, b = owner[one], owner[other]
+            sees = _sees(wall, points[other, 0], points[other, 1], points[one, 0], points[one, 1])
+            counts[0, a, b] += 1
+            counts[1, a, b] += sees
+            if a != b:
+                counts[0, b, a] += 1
+                counts[1, b, a] += sees
+    return counts[0], counts[1]
+
+
+@njit(cache=True, nogil=True)
+def _sees(wall, x, y, to_x, to_y):  # type: ignore[no-untyped-def]
+    """Whether the straight line between two cell centres meets no wall (Amanatides & Woo 1987)."""
+    dx, dy = abs(to_x - x), abs(to_y - y)
+    step_x = 1 if to_x > x else -1
+    step_y = 1 if to_y > y else -1
+    # In units of half cells over dx * dy the next crossings are integers, so no rounding decides.
+    next_x, next_y = dy, dx
+    while x != to_x or y != to_y:
+        if next_x < next_y:
+            x += step_x
+            next_x += 2 * dy
+        elif next_y < next_x:
+            y += step_y
+            next_y += 2 * dx
+        else:
+            x += step_x
+            y += step_y
+            next_x += 2 * dy
+            next_y += 2 * dx
+        if wall[x, y]:
+            return 0
+    return 1

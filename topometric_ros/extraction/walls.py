@@ -1,0 +1,140 @@
+"""A storey from above, without its furniture: walls, the floor they enclose and how wide it is.
+
+Walls are read in a band above the furniture and the doors, where lintels seal the doorways. The
+rasters are (nx, ny) bool or float64 with 0.1 m cells and an empty margin round what was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from topometric_ros.configuration import parameter
+from topometric_ros.extraction.columns import Columns
+from topometric_ros.extraction.storeys import RASTER, StoreyHeights
+
+MARGIN = 10
+"""Empty cells round the raster, so that no operation meets its edge."""
+
+
+@dataclass(frozen=True)
+class WallsConfig:
+    """The band of heights that walls are read from, and how gaps in them close."""
+
+    band_bottom: float = parameter(
+        1.9, "Lower end of the band above the floor.", unit="m", minimum=0.5, maximum=3.0
+    )
+    band_height: float = parameter(
+        0.65,
+        "The band starts at least this far under the ceiling, so that low rooms have one.",
+        unit="m",
+        minimum=0.3,
+        maximum=2.0,
+    )
+    band_top: float = parameter(
+        0.25, "Upper end of the band under the ceiling.", unit="m", minimum=0.0, maximum=1.0
+    )
+    smallest_count: int = parameter(
+        2, "Occupied cells of the band that make a column a wall.", minimum=1, maximum=20
+    )
+    closing: float = parameter(
+        0.3, "Gaps in walls and floors up to twice this wide close.", unit="m", maximum=2.0
+    )
+    sloped_roofs: bool = parameter(
+        True, "Drop thick wall without anything under it: a sloped roof that enters the band."
+    )
+    roof_support: int = parameter(
+        10, "Occupied cells 0.3 to 1.5 m above the floor that make wall of it.", minimum=1
+    )
+
+
+@dataclass(frozen=True)
+class StoreyRaster:
+    """One storey from above; raster cell (i, j) is the column of voxel coordinate `corner + (i, j)`.
+
+    `observed` columns hold any voxel of the storey, `domain` is the floor between the walls
+    whether seen or not, `distance` (cells, float64) that from the nearest wall or the unknown.
+    """
+
+    corner: NDArray[np.int64]
+    observed: NDArray[np.bool_]
+    wall: NDArray[np.bool_]
+    domain: NDArray[np.bool_]
+    distance: NDArray[np.float64]
+
+
+def dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Grow a mask by a disk of `radius` cells."""
+    if not mask.any():
+        return mask.copy()
+    return np.asarray(ndimage.distance_transform_edt(~mask) <= radius)
+
+
+def eroded(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Shrink a mask by a disk of `radius` cells; what lies beyond the raster counts as set."""
+    if mask.all():
+        return mask.copy()
+    return np.asarray(ndimage.distance_transform_edt(mask) > radius)
+
+
+def closed(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Close the gaps of a mask that a disk of `radius` cells does not fit into."""
+    return eroded(dilated(mask, radius), radius)
+
+
+def opened(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Remove what of a mask a disk of `radius` cells does not fit into."""
+    return dilated(eroded(mask, radius), radius)
+
+
+def storey_raster(
+    columns: Columns,
+    heights: NDArray[np.float64],
+    members: NDArray[np.bool_],
+    storey: StoreyHeights,
+    config: WallsConfig,
+) -> StoreyRaster:
+    """Draw the walls and the floor of one storey.
+
+    Parameters
+    ----------
+    columns : columns of the 0.1 m voxels of the whole building
+    heights : (N,) float64, m, mean height of the points seen in each voxel
+    members : (N,) bool, the voxels of this storey, at least one
+    storey : its floor and ceiling
+    """
+    cells = columns.raster_cells()[members].astype(np.int64)
+    low = cells.min(0) - MARGIN
+    shape = tuple(cells.max(0) - low + 1 + MARGIN)
+    cells -= low
+    above_floor = heights[members] - storey.floor
+
+    def count(bottom: float, top: float) -> NDArray[np.int64]:
+        inside = (above_floor >= bottom) & (above_floor <= top)
+        flat = np.ravel_multi_index(tuple(cells[inside].T), shape)
+        return np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
+
+    height = storey.ceiling - storey.floor
+    bottom = min(config.band_bottom, height - config.band_height)
+    wall = count(bottom, height - config.band_top) >= config.smallest_count
+    closing = config.closing / RASTER
+    wall = closed(wall, closing)
+    if config.sloped_roofs:
+        wall = _without_roofs(wall, count(0.3, 1.5) >= config.roof_support, closing)
+    observed = np.zeros(shape, bool)
+    observed[tuple(cells.T)] = True
+    domain = closed(observed, closing) & ~wall
+    inside = (domain | dilated(wall, 2)) & ~wall
+    distance = np.asarray(ndimage.distance_transform_edt(inside))
+    return StoreyRaster(columns.corner + low, observed, wall, domain, distance)
+
+
+def _without_roofs(
+    wall: NDArray[np.bool_], support: NDArray[np.bool_], radius: float
+) -> NDArray[np.bool_]:
+    """Drop thick wall that stands on nothing (change C of the recipe)."""
+    supported = ndimage.binary_dilation(support, np.ones((3, 3), bool))
+    return wall & ~(opened(wall, radius) & ~supported)
