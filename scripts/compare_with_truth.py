@@ -1,56 +1,49 @@
-#!/usr/bin/env python3
-"""Compare the transform in a `merge.json` with a known one and say how far apart they are.
+"""Print how far the alignments of a merge.json lie from the truth of a simulated recording.
 
-    compare_with_truth.py OUT TRUTH.json [--within METRES DEGREES]
+compare_with_truth.py MERGE_JSON TRUTH_JSON
 
-OUT is the output folder of `topometric merge` or `replay`; TRUTH.json holds `T_<first>_<second>`,
-4 x 4, for the two agents. The distance is the mean displacement of the second agent's voxels, not
-the difference of the translations, which a small error of the yaw would blow up far from the
-origin. Exit status 1 where the agents were not aligned or the limits are exceeded.
+The truth holds 4 x 4 matrices named T_AGENT_AGENT; pairs without one are passed over.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
+import math
 import sys
 from pathlib import Path
 
 import numpy as np
-from topometric_ros.io.map_files import read_labelled_ply
-
-
-def displacement(
-    T_found: np.ndarray, T_true: np.ndarray, global_points: np.ndarray
-) -> tuple[float, float]:
-    """Return the mean displacement (m) of points seen by the second agent and the angle (deg)."""
-    points = (global_points - T_found[:3, 3]) @ T_found[:3, :3]
-    moved = points @ (T_found - T_true)[:3, :3].T + (T_found - T_true)[:3, 3]
-    cosine = (np.trace(T_true[:3, :3].T @ T_found[:3, :3]) - 1) / 2
-    return float(np.linalg.norm(moved, axis=1).mean()), float(np.degrees(np.arccos(min(1, cosine))))
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("truth", type=Path)
-    parser.add_argument("--within", type=float, nargs=2, default=(0.15, 1.0))
-    args = parser.parse_args()
-    alignment = json.loads((args.out / "merge.json").read_text())["alignments"][0]
-    first, second = alignment["agents"]
-    if alignment["T_a_b"] is None:
-        print(f"{first} and {second} were not aligned: {alignment['reason']}")
-        return 1
-    T_true = np.array(json.loads(args.truth.read_text())[f"T_{first}_{second}"])
-    table = read_labelled_ply(args.out / "global.ply")
-    points = np.stack([table["x"], table["y"], table["z"]], 1)[(table["agent"] & 2) > 0]
-    metres, degrees = displacement(np.array(alignment["T_a_b"]), T_true, points)
-    right = metres <= args.within[0] and degrees <= args.within[1]
-    print(
-        f"T_{first}_{second} is {metres:.3f} m and {degrees:.2f} deg from the truth "
-        f"({'within' if right else 'NOT within'} {args.within[0]} m and {args.within[1]} deg)"
-    )
-    return 0 if right else 1
+    """Print one line for every pair that the truth knows; 1 where one of them is not aligned."""
+    merged, truth = (json.loads(Path(name).read_text(encoding="utf-8")) for name in sys.argv[1:3])
+    missing = 0
+    for alignment in merged["alignments"]:
+        a, b = alignment["agents"]
+        true = _true_transform(truth, a, b)
+        if true is None:
+            continue
+        if alignment["status"] != "accepted":
+            print(f"{a} and {b}: {alignment['status']} ({alignment['reason']})")
+            missing += 1
+            continue
+        found = np.array(alignment["T_a_b"])
+        for name, matrix in (("found", found), ("true", true)):
+            x, y, z = matrix[:3, 3]
+            yaw = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))
+            print(f"{a} from {b}, {name:5}: x {x:.3f} m, y {y:.3f} m, z {z:.3f} m, yaw {yaw:.2f}°")
+        error = np.linalg.inv(true) @ found
+        angle = math.degrees(math.acos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1)))
+        print(f"{a} from {b}, error: {np.linalg.norm(error[:3, 3]):.3f} m, {angle:.2f}°")
+    return int(missing > 0)
+
+
+def _true_transform(truth: dict, a: str, b: str) -> np.ndarray | None:
+    """Return T_a_b (4, 4), m, from the truth, or None."""
+    if f"T_{a}_{b}" in truth:
+        return np.array(truth[f"T_{a}_{b}"])
+    if f"T_{b}_{a}" in truth:
+        return np.linalg.inv(truth[f"T_{b}_{a}"])
+    return None
 
 
 if __name__ == "__main__":
