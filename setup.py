@@ -1,21 +1,27 @@
 """One setup.py for pip and colcon (ament_python): see docs/dependencies.md for the reasons."""
 
 import re
-from glob import glob
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "topometric_ros"
 VERSION = re.search(r'__version__ = "(.+)"', Path(f"{NAME}/__init__.py").read_text())[1]
-# The same module without CUDA, a third of the size; it has wheels for this platform only.
-OPEN3D_CPU = "sys_platform == 'linux' and platform_machine == 'x86_64'"
+# open3d-cpu is the same module without CUDA, a third of the size; it has wheels for this platform only.
+X86_LINUX = "sys_platform == 'linux' and platform_machine == 'x86_64'"
+ELSEWHERE = "sys_platform != 'linux' or platform_machine != 'x86_64'"
+
+
+def files(pattern: str) -> list[str]:
+    """Return the files of the repository that match, for data_files."""
+    return sorted(str(path) for path in Path().glob(pattern) if path.is_file())
+
 
 setup(
     name=NAME,
     version=VERSION,
-    description="Topometric maps of buildings: extract them from point clouds, merge those of agents",
-    long_description="Extracts rooms, passages and voxels from point clouds and merges agents' maps.",
+    description="Extracts topometric maps from point clouds and merges those of several agents",
+    long_description="Rooms, passages and voxels of buildings; see README.md in the repository.",
     author="topometric_ros maintainers",
     maintainer="topometric_ros maintainers",
     maintainer_email="maintainers@topometric-ros.org",
@@ -32,17 +38,17 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "LICENSE"]),
-        (f"share/{NAME}/config", glob("config/*")),
-        (f"share/{NAME}/launch", glob("launch/*.py")),
-        (f"share/{NAME}/rviz", glob("rviz/*.rviz")),
-        (f"lib/{NAME}", glob("executables/*")),
+        (f"share/{NAME}/config", files("config/*")),
+        (f"share/{NAME}/launch", files("launch/*.py")),
+        (f"share/{NAME}/rviz", files("rviz/*.rviz")),
+        (f"lib/{NAME}", files("executables/*")),
     ],
     install_requires=[
         "numpy>=2.0",
         "scipy>=1.13",
         "numba>=0.61",
-        f"open3d-cpu>=0.19; {OPEN3D_CPU}",
-        f"open3d>=0.19; not ({OPEN3D_CPU})",
+        f"open3d-cpu>=0.19; {X86_LINUX}",
+        f"open3d>=0.19; {ELSEWHERE}",
         "networkx>=3.2",
         "markov-clustering==0.0.6.dev0",
         "scikit-learn>=1.4",
