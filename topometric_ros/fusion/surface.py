@@ -1,0 +1,99 @@
+"""A map's surface for registration: points, normals and, where it is known, the free side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.matching.planes import fit_planes
+from topometric_ros.topometric_map import Storey, TopometricMap
+
+NEIGHBOURS = 10
+"""Voxels that a normal is fitted through: about 0.35 m of wall at 0.1 m voxels."""
+
+_ASIDE = (0.2, 0.3, 0.4)
+"""How far from a wall, in metres, its free side shows seen floor."""
+
+_SLAB = 0.15
+"""Points this near to a storey's floor or ceiling (m) are seen from that storey."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Points (N, 3) float64 in m, unit normals (N, 3), and which of them (N,) point to free space.
+
+    A wall seen from one room must not attract the same wall seen from the next: where both normals
+    are `sided` they must agree, where one is not, their sign means nothing.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    sided: NDArray[np.bool_]
+    spacing: float
+    """Typical distance of neighbouring points, m: the voxel's edge."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Surface:
+        """Return some of the points."""
+        return Surface(self.points[rows], self.normals[rows], self.sided[rows], self.spacing)
+
+
+def surface_of(topometric_map: TopometricMap) -> Surface:
+    """Return the surface of a map in its level frame.
+
+    Normals come from principal components. The free side of a wall is the one where floor was seen
+    (the storey's `free` raster) and of a slab the one of its storey; a wall free on both sides, as
+    a thin one seen from two rooms is, stays without.
+    """
+    points = topometric_map.surface()
+    normals, _ = fit_planes(points, NEIGHBOURS)
+    sided = np.zeros(len(points), dtype=bool)
+    for storey in topometric_map.storeys:
+        _side_walls(storey, points, normals, sided)
+        _side_slabs(storey, points, normals, sided)
+    return Surface(points, normals, sided, topometric_map.voxel_size)
+
+
+def _side_walls(
+    storey: Storey,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    sided: NDArray[np.bool_],
+) -> None:
+    """Turn the normals of one storey's walls to their free side, in place."""
+    height = points[:, 2] - storey.floor_z
+    rows = np.flatnonzero((height > 0.2) & (height < 2.2) & (np.abs(normals[:, 2]) < 0.35))
+    ahead, behind = np.zeros(len(rows), bool), np.zeros(len(rows), bool)
+    for distance in _ASIDE:
+        ahead |= _seen_free(storey, points[rows] + distance * normals[rows])
+        behind |= _seen_free(storey, points[rows] - distance * normals[rows])
+    normals[rows[behind & ~ahead]] *= -1.0
+    sided[rows[ahead != behind]] = True
+
+
+def _side_slabs(
+    storey: Storey,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    sided: NDArray[np.bool_],
+) -> None:
+    """Turn the normals of a storey's floor up and of its ceiling down, in place."""
+    flat = np.abs(normals[:, 2]) > 0.8
+    for z, sign in ((storey.floor_z, 1.0), (storey.ceiling_z, -1.0)):
+        if z is not None:
+            rows = np.flatnonzero(flat & (np.abs(points[:, 2] - z) < _SLAB))
+            normals[rows] *= (sign * np.sign(normals[rows, 2]))[:, None]
+            sided[rows] = True
+
+
+def _seen_free(storey: Storey, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether each point (n, 3) stands above seen-free floor."""
+    layers = storey.layers
+    cells = np.floor((points[:, :2] - layers.origin) / layers.cell + 0.5).astype(np.int64)
+    inside = np.all((cells >= 0) & (cells < layers.free.shape), axis=1)
+    cells = np.where(inside[:, None], cells, 0)
+    return inside & layers.free[cells[:, 0], cells[:, 1]]
