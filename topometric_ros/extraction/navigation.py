@@ -1,0 +1,142 @@
+"""The navigable volume: voxels that an agent could stand on (thesis §4.2.1-4.2.4).
+
+A stick-shaped kernel finds voxels with room above them, an upward dilation joins steps of stairs,
+and connected components of the result tell the floor from table tops and shelves.
+
+Deviation: scans from inside show the ceiling as a sheet with nothing above it, on which a stick
+fits everywhere, so it would be the largest component of nearly every map. A floor has walls or
+other things standing round it; a component without them is left out.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.configuration import parameter
+from topometric_ros.voxels.components import connected_components
+from topometric_ros.voxels.grid import VoxelGrid
+from topometric_ros.voxels.index import VoxelIndex
+from topometric_ros.voxels.kernels import (
+    circle,
+    column,
+    connectivity,
+    convolve,
+    dilate,
+    kernel_of,
+    stick_kernel,
+)
+
+logger = logging.getLogger(__name__)
+
+_BESIDE = 0.4
+"""How far from the rim of a component something may stand to count as beside it, m: a stick's
+radius, and two voxels of 0.1 m for what the lattice adds."""
+_STANDING = (0.4, 1.5)
+"""Heights above the floor in which something stands, m: above noise and steps, below lintels."""
+
+
+@dataclass(frozen=True)
+class NavigationConfig:
+    """How an agent stands and moves; the defaults are the thesis' values."""
+
+    thin_height: float = parameter(
+        0.25,
+        "Height of the stick's thin part, one voxel wide, above the floor voxel.",
+        unit="m",
+        minimum=0.0,
+        maximum=2.0,
+    )
+    wide_height: float = parameter(
+        0.75, "Height of the stick's wide part.", unit="m", minimum=0.0, maximum=3.0
+    )
+    diameter: float = parameter(
+        0.3, "Diameter of the stick's wide part.", unit="m", minimum=0.0, maximum=2.0
+    )
+    dilation: float = parameter(
+        0.2,
+        "How far unobstructed voxels grow upwards, to join steps of stairs.",
+        unit="m",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    connectivity: str = parameter(
+        "6", "Neighbourhood that joins navigable voxels.", choices=("6", "26")
+    )
+    keep: str = parameter(
+        "largest",
+        "Keep the largest component, or all whose area is at least smallest_area.",
+        choices=("largest", "all"),
+    )
+    smallest_enclosure: float = parameter(
+        0.1,
+        "Smallest share of a component's rim with something standing beside it; 0 keeps roofs.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    smallest_area: float = parameter(
+        1.0,
+        "Smallest area of a component that is kept where all are.",
+        unit="m^2",
+        minimum=0.0,
+    )
+
+
+def unobstructed(
+    grid: VoxelGrid, config: NavigationConfig, index: VoxelIndex | None = None
+) -> NDArray[np.bool_]:
+    """Return which voxels have no other voxel within the stick kernel: (N,) bool (eq. 22)."""
+    stick = stick_kernel(grid.voxel_size, config.thin_height, config.wide_height, config.diameter)
+    # eq. 22 asks only whether the sum is 0, so the search may stop at the first obstruction.
+    return convolve(grid.coords, None, stick, "any", index) == 0
+
+
+def navigable_volume(grid: VoxelGrid, config: NavigationConfig) -> NDArray[np.int32]:
+    """Return V_navigation = V_max ∩ V: the voxels that an agent could stand on.
+
+    Parameters
+    ----------
+    grid : occupied voxels, z up
+    config : the agent and what to keep
+
+    Returns
+    -------
+    (M, 3) int32, a subset of the grid's cells in Morton order; empty if nothing can be stood on
+    """
+    index = VoxelIndex(grid.coords)
+    standing = grid.coords[unobstructed(grid, config, index)]
+    if len(standing) == 0:
+        return np.zeros((0, 3), np.int32)
+    height = math.floor(config.dilation / grid.voxel_size + 0.5)
+    dilated = dilate(standing, column(height))
+    component = connected_components(dilated, connectivity(config.connectivity))
+    enclosure = _enclosure(dilated, component, grid, index)
+    kept = enclosure >= min(config.smallest_enclosure, enclosure.max())
+    row = index.rows(dilated)
+    if config.keep == "largest":
+        kept &= np.cumsum(kept) == 1
+    else:
+        voxels = np.bincount(component[row >= 0], minlength=len(kept))
+        kept &= voxels * grid.voxel_size**2 >= config.smallest_area
+    logger.debug("%d navigable components, %d kept", len(kept), kept.sum())
+    return grid.coords[np.sort(row[kept[component] & (row >= 0)])]
+
+
+def _enclosure(
+    dilated: NDArray[np.int32], component: NDArray[np.int32], grid: VoxelGrid, index: VoxelIndex
+) -> NDArray[np.float64]:
+    """Return the share of each component's rim that something stands beside: (C,) float64."""
+    sides = kernel_of([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)])
+    rim = convolve(dilated, None, sides, "count") < len(sides)
+    reach = circle(_BESIDE / grid.voxel_size).coords
+    low, high = (math.ceil(z / grid.voxel_size) for z in _STANDING)
+    heights = np.arange(low, max(high, low + 1))
+    beside = kernel_of((reach[:, None] + np.array([(0, 0, z) for z in heights])).reshape(-1, 3))
+    something = convolve(dilated[rim], None, beside, "any", index)
+    count = component.max() + 1
+    rims = np.bincount(component[rim], minlength=count)
+    return np.bincount(component[rim], something, count) / np.maximum(rims, 1)
