@@ -1,0 +1,269 @@
+"""Whether a pose may be believed: accepted, ambiguous, rejected or none, with the reason in words.
+
+A wrong merge is worse than none, so a pose is accepted only where enough was seen in common, hardly
+anything speaks against it, and no other pose does nearly as well. Everything else is told to the
+operator with the number that decided and the threshold that it missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.alignment import AlignmentStatus, Alternative
+from topometric_ros.configuration import parameter
+from topometric_ros.matching.candidate import Candidate
+from topometric_ros.matching.evidence import Evidence
+from topometric_ros.matching.search_poses import pose_of, same_pose
+
+Judged = tuple[Candidate, Evidence]
+
+_ALTERNATIVES = 5
+
+
+@dataclass(frozen=True)
+class VerificationConfig:
+    """What a pose must show to be accepted."""
+
+    free_floor: float = parameter(
+        6.0, "Floor that both maps must have seen free.", unit="m²", minimum=0.0
+    )
+    agreed_wall: float = parameter(
+        5.0, "Wall that both maps must have seen from the same side.", unit="m", minimum=0.0
+    )
+    smallest_eigenvalue: float = parameter(
+        2.5, "Wall in common that must run across the main direction.", unit="m", minimum=0.0
+    )
+    wall_conflict: float = parameter(
+        0.015, "Share of judged wall cells that may stand in the other's free floor.", minimum=0.0,
+        maximum=1.0,
+    )  # fmt: skip
+    furniture_conflict: float = parameter(
+        0.15, "Share of judged furniture cells that may stand on the other's bare floor.",
+        minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+    furniture_judged: int = parameter(
+        15, "Furniture cells from which their conflict counts.", minimum=0
+    )
+    clear_ratio: float = parameter(
+        0.30, "Runner-up's share of the best value up to which `clear_gap` decides.", minimum=0.0,
+        maximum=1.0,
+    )  # fmt: skip
+    clear_gap: float = parameter(
+        150.0, "Lead of the best value where the runner-up is far behind.", minimum=0.0
+    )
+    wide_ratio: float = parameter(
+        0.75, "Runner-up's share of the best value up to which `wide_gap` decides.", minimum=0.0,
+        maximum=1.0,
+    )  # fmt: skip
+    wide_gap: float = parameter(
+        600.0, "Lead of the best value where the runner-up is near.", minimum=0.0
+    )
+    changed_furniture: bool = parameter(
+        False, "Also accept maps of different days: more conflict where far more is in common."
+    )
+    same_distance: float = parameter(
+        0.6, "Poses nearer than this on the plan are one.", unit="m", minimum=0.0, maximum=5.0
+    )
+    same_angle: float = parameter(
+        6.0, "Poses turned by less than this are one.", unit="deg", minimum=0.0, maximum=45.0
+    )
+    same_height: float = parameter(
+        0.3, "Poses nearer than this in height are one.", unit="m", minimum=0.0, maximum=2.0
+    )
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What became of a pair of maps.
+
+    `best` is the index of the best candidate (None without any), also where it is not accepted;
+    `confidence` 0..1, see :func:`confidence`. `alternatives` are the best distinct poses between the
+    level frames with their values, the best first, where there is something to choose from.
+    """
+
+    status: AlignmentStatus
+    reason: str
+    best: int | None
+    confidence: float = 0.0
+    gap: float = 0.0
+    ratio: float = 0.0
+    alternatives: tuple[Alternative, ...] = ()
+
+
+def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
+    """Accept the best of some candidates, or say why not.
+
+    Parameters
+    ----------
+    judged : candidates of any source, each refined (`matching.evidence.refine`) and with its
+        evidence. Rough copies of the best pose would read as rivals of it.
+    config : VerificationConfig. `changed_furniture` is off by default: it tolerates four times the
+        conflict, and that is what look-alike wings of one building show (2.7 % in the worst of
+        the development pairs, kept out by the ratio alone); an operator who knows that the maps
+        are of different days can turn it on.
+
+    Returns
+    -------
+    Decision
+    """
+    order = sorted(range(len(judged)), key=lambda k: (-judged[k][1].value, -judged[k][1].score, k))
+    if not order:
+        return Decision(
+            AlignmentStatus.NONE,
+            "no pose brings a floor of one map onto a floor of the other",
+            None,
+        )
+    best = order[0]
+    rivals = _distinct(judged, order, config)
+    first = judged[best][1]
+    second = judged[rivals[1]][1].value if len(rivals) > 1 else 0.0
+    gap = first.value - second
+    ratio = second / first.value if first.value > 0.0 else 1.0
+    alternatives = tuple(
+        Alternative(judged[k][0].T_a_b, judged[k][1].value) for k in rivals[:_ALTERNATIVES]
+    )
+
+    def decision(status: AlignmentStatus, reason: str, trust: float) -> Decision:
+        return Decision(status, reason, best, trust, gap, ratio, alternatives)
+
+    objection = missed_gate(first, config)
+    days_apart = (
+        objection is not None and config.changed_furniture and _holds_despite(first, gap, ratio)
+    )
+    if objection is not None and not days_apart:
+        return decision(AlignmentStatus.REJECTED, objection, 0.0)
+    trust = confidence(gap, ratio, config)
+    if trust < 0.5:
+        rival = judged[rivals[1]][0] if len(rivals) > 1 else None
+        reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
+        return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
+    return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio, days_apart), trust)
+
+
+def confidence(gap: float, ratio: float, config: VerificationConfig) -> float:
+    """Return how far the best pose is ahead of the runner-up: 0..1, accepted from 0.5.
+
+    With gap = V1 − V2 and ratio = V2 / V1, m = max over both rules of
+    min(gap / least gap, greatest ratio / ratio) and the confidence is m / (1 + m): it rises with the
+    gap, falls with the ratio and is 0.5 exactly where a rule is met. It is no probability.
+    """
+    ratio = max(ratio, 1e-9)
+    margin = max(
+        min(gap / max(least, 1e-9), greatest / ratio)
+        for least, greatest in (
+            (config.clear_gap, config.clear_ratio),
+            (config.wide_gap, config.wide_ratio),
+        )
+    )
+    return float(max(0.0, margin) / (1.0 + max(0.0, margin)))
+
+
+def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
+    """Return the sentence of the first gate that a pose fails, or None where it passes all."""
+    e = evidence
+    if e.storeys == 0:
+        return "no floor of one map meets a floor of the other"
+    if e.free_floor < config.free_floor:
+        return (
+            f"too little in common: both maps saw {e.free_floor:.1f} m² of the same free floor, "
+            f"at least {config.free_floor:g} m² are needed"
+        )
+    if e.agreed_wall < config.agreed_wall:
+        return (
+            f"too little in common: both maps saw {e.agreed_wall:.1f} m of wall from the same "
+            f"side, at least {config.agreed_wall:g} m are needed"
+        )
+    if e.smallest_eigenvalue < config.smallest_eigenvalue:
+        return (
+            "the walls in common all run one way, so the position along them is not fixed: "
+            f"{e.smallest_eigenvalue:.1f} m of wall run across, "
+            f"at least {config.smallest_eigenvalue:g} m are needed"
+        )
+    if e.wall_conflict > config.wall_conflict:
+        cells = e.wall_conflict_cells / e.wall_conflict
+        return (
+            "the walls of one map stand in the seen-free floor of the other: "
+            f"{e.wall_conflict:.1%} of {cells:.0f} wall cells conflict, "
+            f"at most {config.wall_conflict:.1%} allowed"
+        )
+    counted = e.furniture_judged >= config.furniture_judged
+    if counted and e.furniture_conflict > config.furniture_conflict:
+        return (
+            "the furniture of one map stands where the other saw bare floor: "
+            f"{e.furniture_conflict:.0%} of {e.furniture_judged} furniture cells conflict, "
+            f"at most {config.furniture_conflict:.0%} allowed"
+        )
+    return None
+
+
+def _holds_despite(e: Evidence, gap: float, ratio: float) -> bool:
+    """More conflict may pass where much more is in common and no other pose comes near."""
+    enough = e.free_floor >= 20.0 and e.agreed_wall >= 10.0 and e.smallest_eigenvalue >= 5.0
+    little = e.wall_conflict <= 0.06 and e.furniture_conflict <= 0.3
+    return enough and little and ratio <= 0.15 and gap >= 300.0
+
+
+def _why_accepted(e: Evidence, ratio: float, days_apart: bool) -> str:
+    furniture = f" and {e.furniture_conflict:.0%} of the furniture" if days_apart else ""
+    return (
+        f"{e.agreed_wall:.0f} m of wall and {e.free_floor:.0f} m² of free floor agree, "
+        f"{e.wall_conflict:.1%} of the walls{furniture} conflict, "
+        f"the next best pose reaches {ratio:.0%} of the value"
+    )
+
+
+def _why_ambiguous(
+    best: Judged,
+    rival: Candidate | None,
+    second: float,
+    gap: float,
+    ratio: float,
+    config: VerificationConfig,
+) -> str:
+    candidate, evidence = best
+    if rival is None or ratio <= config.clear_ratio:
+        return (
+            f"the best pose leads by only {gap:.0f}, at least {config.clear_gap:g} are needed: "
+            "let the maps share more rooms"
+        )
+    shift, turn = _difference(candidate.T_a_b, rival.T_a_b, evidence.centre)
+    needed = (
+        f"at most {config.clear_ratio:.0%} allowed"
+        if gap < config.wide_gap
+        else f"at most {config.wide_ratio:.0%} allowed"
+    )
+    return (
+        f"another pose, {shift:.1f} m and {turn:.0f}° away, fits nearly as well: value {second:.0f} "
+        f"against {evidence.value:.0f} ({ratio:.0%}, {needed}; "
+        f"or a lead of {config.wide_gap:g}, it is {gap:.0f})"
+    )
+
+
+def _difference(
+    one: NDArray[np.float64], other: NDArray[np.float64], centre: tuple[float, float, float]
+) -> tuple[float, float]:
+    """How far (m) and by what angle (degrees) a second pose moves the walls in common."""
+    point = np.array([*centre, 1.0])
+    shift = float(np.linalg.norm((one @ point - other @ point)[:3]))
+    cosine = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1.0) / 2.0
+    return shift, float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _distinct(
+    judged: Sequence[Judged], order: Sequence[int], config: VerificationConfig
+) -> list[int]:
+    """Return the candidates, best first, without those that are one with a better one."""
+    reach = (config.same_distance, float(np.radians(config.same_angle)), config.same_height)
+    kept: list[int] = []
+    for k in order:
+        pose = pose_of(judged[k][0].T_a_b)
+        if not any(
+            same_pose(pose_of(judged[j][0].T_a_b), pose, np.array(judged[j][1].centre[:2]), reach)
+            for j in kept
+        ):
+            kept.append(k)
+    return kept

@@ -1,0 +1,249 @@
+"""What speaks for and against a pose, counted on the storeys that it brings together.
+
+Any candidate is judged here, whatever proposed it. Everything is counted twice, b's cells in a's
+tables and the reverse, and the worse count holds: a pose and its inverse get the same evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from topometric_ros.matching.search_fields import (
+    CELL,
+    MapFields,
+    ScoringConfig,
+    StoreyFields,
+    prepare,
+    storey_pairs,
+)
+from topometric_ros.matching.search_poses import (
+    Pose,
+    common_centre,
+    compare,
+    pose_of,
+    score_around,
+)
+from topometric_ros.matching.search_refine import RefineConfig, refine_pose
+from topometric_ros.topometric_map import TopometricMap
+
+_NEAR = 1.5
+"""Cells within which a wall stands on a wall, or furniture on furniture."""
+
+_SCORE_ZERO_AT_WALLS = 0.1
+_SCORE_ZERO_AT_FURNITURE = 0.5
+_FURNITURE_COUNTS_FROM = 20
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The evidence of one pose; of both directions the worse.
+
+    Shares are of the cells that could be judged, lengths and areas in m and m².
+    """
+
+    score: float
+    """S of the pose, see `search_poses.score_around`."""
+    value: float
+    """S made smaller by conflicts: what poses are compared by."""
+    wall_agree: int
+    """Wall cells on the other map's walls."""
+    wall_conflict_cells: int
+    """Wall cells well inside the other map's seen-free floor, in the worse direction."""
+    wall_conflict: float
+    """Conflict / (conflict + agree): 0 where nothing could be judged."""
+    free_floor: float
+    """Floor that both maps saw free, m²."""
+    agreed_wall: float
+    """Wall that both saw from the same side, m."""
+    smallest_eigenvalue: float
+    """m: of the sum of n nᵀ over `agreed_wall`. A corridor alone cannot fix its own length."""
+    furniture_judged: int
+    furniture_conflict_cells: int
+    furniture_conflict: float
+    """Share of the furniture seen by one where the other saw the bare floor."""
+    storeys: int
+    """Storeys that the pose brings together."""
+    centre: tuple[float, float, float]
+    """Centroid of b's walls in common, m, level frame of b: where poses are compared."""
+
+
+def evaluate(
+    a: TopometricMap | MapFields,
+    b: TopometricMap | MapFields,
+    T_a_b: NDArray[np.float64],
+    config: ScoringConfig,
+) -> Evidence:
+    """Count what speaks for and against a pose.
+
+    Parameters
+    ----------
+    a, b : maps, or what :func:`search_fields.prepare` made of them
+    T_a_b : (4, 4) float64, m, level frame of b to level frame of a; its tilt is left out
+    config : ScoringConfig, the same that the search used
+
+    Returns
+    -------
+    Evidence; all counts are 0 where the pose brings no storeys together
+    """
+    fields_a, fields_b = prepare(a, config), prepare(b, config)
+    pose = pose_of(T_a_b)
+    back = pose_of(np.linalg.inv(pose.matrix()))
+    ways = [
+        _one_way(fields_a, fields_b, pose, config),
+        _one_way(fields_b, fields_a, back, config),
+    ]
+    counts = [way[1] for way in ways]
+    score = min(way[0] for way in ways)
+    wall = max((_share(c.conflict, c.agree), c.conflict) for c in counts)
+    furniture = max(
+        (_share(c.furniture_conflict, c.furniture_agree), c.furniture_conflict, c.furniture_judged)
+        for c in counts
+    )
+    value = score * max(0.0, 1.0 - wall[0] / _SCORE_ZERO_AT_WALLS)
+    if furniture[1] >= _FURNITURE_COUNTS_FROM:
+        value *= max(0.0, 1.0 - furniture[0] / _SCORE_ZERO_AT_FURNITURE)
+    centre = common_centre(compare(fields_a, fields_b, pose.height, None), pose)
+    return Evidence(
+        score=score,
+        value=max(0.0, value),
+        wall_agree=min(c.agree for c in counts),
+        wall_conflict_cells=wall[1],
+        wall_conflict=wall[0],
+        free_floor=min(c.free for c in counts) * CELL**2,
+        agreed_wall=min(c.same_side for c in counts) * CELL,
+        smallest_eigenvalue=min(c.smallest_eigenvalue for c in counts),
+        furniture_judged=furniture[2],
+        furniture_conflict_cells=furniture[1],
+        furniture_conflict=furniture[0],
+        storeys=len(storey_pairs(fields_a, fields_b, pose.height)),
+        centre=(float(centre[0]), float(centre[1]), 0.0),
+    )
+
+
+def refine(
+    a: TopometricMap | MapFields,
+    b: TopometricMap | MapFields,
+    T_a_b: NDArray[np.float64],
+    config: ScoringConfig,
+) -> NDArray[np.float64]:
+    """Return the best planar pose near a rough one (within about 3° and 0.5 m), same height.
+
+    A candidate of another source than the search must be refined before its evidence is compared
+    with others': the runner-up of a pose must not be a rough copy of the same pose.
+    """
+    fields_a, fields_b = prepare(a, config), prepare(b, config)
+    return refine_pose(fields_a, fields_b, pose_of(T_a_b), config, RefineConfig()).matrix()
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """Cells of one map judged in the other's tables."""
+
+    agree: int
+    conflict: int
+    same_side: int
+    free: int
+    furniture_agree: int
+    furniture_conflict: int
+    smallest_eigenvalue: float
+
+    @property
+    def furniture_judged(self) -> int:
+        return self.furniture_agree + self.furniture_conflict
+
+
+def _share(against: int, with_it: int) -> float:
+    return against / (against + with_it) if against else 0.0
+
+
+def _one_way(
+    a: MapFields, b: MapFields, pose: Pose, config: ScoringConfig
+) -> tuple[float, _Counts]:
+    """S and the counts of b's cells in a's tables."""
+    weights = (config.conflict_weight, config.free_weight)
+    comparison = compare(a, b, pose.height, None)
+    still = np.zeros(1)
+    score = score_around(comparison, pose, np.zeros(2), still, still, weights)[0, 0, 0]
+    total = np.zeros(9)
+    for i, j in storey_pairs(a, b, pose.height):
+        total += _count(a.storeys[i], b.storeys[j], pose, config.conflict_depth / CELL)
+    xx, xy, yy = total[6:9]
+    smallest = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)
+    counts = (int(value) for value in total[:6])
+    return float(score), _Counts(*counts, smallest_eigenvalue=float(smallest) * CELL)
+
+
+def _count(a: StoreyFields, b: StoreyFields, pose: Pose, depth: float) -> NDArray[np.float64]:
+    """Counts of one pair of storeys, in the order of `_Counts`, then Σ n nᵀ (xx, xy, yy)."""
+    c, s = np.cos(pose.yaw), np.sin(pose.yaw)
+    start = (np.array([pose.x, pose.y]) - a.origin) / CELL
+    walls = _count_walls(
+        a.wall_distance, a.side, a.free_depth, b.walls, b.wall_sides, c, s, start, depth
+    )
+    agree, conflict, same_side, xx, xy, yy = walls
+    free = _count_free(a.kind, b.free, c, s, start)
+    placed, displaced = _count_furniture(
+        a.furniture_distance, a.bare_depth, b.furniture, c, s, start, depth
+    )
+    return np.array([agree, conflict, same_side, free, placed, displaced, xx, xy, yy], float)
+
+
+@njit(cache=True, nogil=True)
+def _count_walls(  # type: ignore[no-untyped-def]
+    wall_distance, side, free_depth, walls, wall_sides, c, s, start, depth
+):
+    """Wall cells that agree, conflict, agree from the same side, and Σ n nᵀ of the last."""
+    agree, conflict, same = 0, 0, 0
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for w in range(len(walls)):
+        i = int(np.floor((c * walls[w, 0] - s * walls[w, 1]) / CELL + start[0] + 0.5))
+        j = int(np.floor((s * walls[w, 0] + c * walls[w, 1]) / CELL + start[1] + 0.5))
+        if i < 0 or j < 0 or i >= wall_distance.shape[0] or j >= wall_distance.shape[1]:
+            continue
+        if wall_distance[i, j] <= _NEAR:
+            agree += 1
+            x = c * wall_sides[w, 0] - s * wall_sides[w, 1]
+            y = s * wall_sides[w, 0] + c * wall_sides[w, 1]
+            if x * side[i, j, 0] + y * side[i, j, 1] > 0.5:
+                same += 1
+                xx += x * x
+                xy += x * y
+                yy += y * y
+        elif free_depth[i, j] >= depth:
+            conflict += 1
+    return agree, conflict, same, xx, xy, yy
+
+
+@njit(cache=True, nogil=True)
+def _count_free(kind, free, c, s, start):  # type: ignore[no-untyped-def]
+    """Free cells that are free in the other map too."""
+    count = 0
+    for f in range(len(free)):
+        i = int(np.floor((c * free[f, 0] - s * free[f, 1]) / CELL + start[0] + 0.5))
+        j = int(np.floor((s * free[f, 0] + c * free[f, 1]) / CELL + start[1] + 0.5))
+        inside = i >= 0 and j >= 0 and i < kind.shape[0] and j < kind.shape[1]
+        if inside and kind[i, j] == 1:
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _count_furniture(  # type: ignore[no-untyped-def]
+    distance, bare_depth, cells, c, s, start, depth
+):
+    """Furniture cells on the other map's furniture, and on its bare floor."""
+    placed, displaced = 0, 0
+    for f in range(len(cells)):
+        i = int(np.floor((c * cells[f, 0] - s * cells[f, 1]) / CELL + start[0] + 0.5))
+        j = int(np.floor((s * cells[f, 0] + c * cells[f, 1]) / CELL + start[1] + 0.5))
+        if i < 0 or j < 0 or i >= distance.shape[0] or j >= distance.shape[1]:
+            continue
+        if distance[i, j] <= _NEAR:
+            placed += 1
+        elif bare_depth[i, j] >= depth:
+            displaced += 1
+    return placed, displaced

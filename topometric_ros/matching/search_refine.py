@@ -1,0 +1,150 @@
+"""From coarse poses to fine ones: a grid round each that shrinks while fewer poses stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.configuration import parameter
+from topometric_ros.matching.search_fields import MapFields, ScoringConfig
+from topometric_ros.matching.search_poses import (
+    Comparison,
+    Pose,
+    common_centre,
+    compare,
+    same_pose,
+    score_around,
+)
+
+DISTINCT = (0.6, float(np.radians(6.0)), 0.3)
+"""Poses that differ by less than this (m on the plan, rad, m in height) are one."""
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """How many poses are refined, and on how many cells."""
+
+    coarse_samples: int = parameter(
+        3000, "Wall and free cells that the first pass looks at.", minimum=200, maximum=1_000_000
+    )
+    fine_samples: int = parameter(
+        6000, "Wall and free cells that the later passes look at.", minimum=200, maximum=1_000_000
+    )
+    keep_coarse: int = parameter(25, "Poses kept after the first pass.", minimum=1, maximum=1000)
+    keep: int = parameter(12, "Distinct poses kept in the end.", minimum=2, maximum=100)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """Half-ranges and steps of a grid round a pose, in degrees and metres."""
+
+    turn: tuple[float, float]
+    shift: tuple[float, float]
+    conflict_weight: float | None = None
+    """Milder than the score's own while poses are still rough; None: as configured."""
+
+    def turns(self) -> NDArray[np.float64]:
+        return np.radians(_grid(*self.turn))
+
+    def shifts(self) -> NDArray[np.float64]:
+        return _grid(*self.shift)
+
+
+_FIRST = _Pass((1.5, 0.75), (0.3, 0.1), conflict_weight=2.0)
+_SECOND = _Pass((1.2, 0.3), (0.2, 0.1), conflict_weight=2.0)
+_LAST = (_Pass((0.45, 0.15), (0.1, 0.05)), _Pass((0.3, 0.1), (0.06, 0.03)))
+
+
+def _grid(half: float, step: float) -> NDArray[np.float64]:
+    n = round(half / step)
+    return np.arange(-n, n + 1) * step
+
+
+@dataclass
+class _Views:
+    """The comparisons of two maps by height and number of samples, made once."""
+
+    a: MapFields
+    b: MapFields
+    made: dict[tuple[float, int | None], Comparison] = field(default_factory=dict)
+
+    def at(self, height: float, samples: int | None) -> Comparison:
+        key = (height, samples)
+        if key not in self.made:
+            self.made[key] = compare(self.a, self.b, height, samples)
+        return self.made[key]
+
+
+def refine_poses(
+    a: MapFields, b: MapFields, poses: list[Pose], scoring: ScoringConfig, config: RefineConfig
+) -> list[Pose]:
+    """Return the distinct poses that the given ones lead to, with their S, best first.
+
+    Parameters
+    ----------
+    poses : rough poses, within about 3° and 0.5 m of what they mean
+    """
+    views = _Views(a, b)
+    rough = [_improved(views, p, (_FIRST,), scoring, config.coarse_samples) for p in poses]
+    kept = distinct(views, rough, config.keep_coarse)
+    better = [_improved(views, p, (_SECOND,), scoring, config.fine_samples) for p in kept]
+    kept = distinct(views, better, config.keep)
+    fine = [_improved(views, p, _LAST, scoring, config.fine_samples) for p in kept]
+    exact = [_scored(views, p, scoring) for p in fine]
+    return distinct(views, exact, config.keep)
+
+
+def refine_pose(
+    a: MapFields, b: MapFields, pose: Pose, scoring: ScoringConfig, config: RefineConfig
+) -> Pose:
+    """Return the best pose in the basin of one, with its S."""
+    views = _Views(a, b)
+    passes = (_FIRST, _SECOND, *_LAST)
+    return _scored(views, _improved(views, pose, passes, scoring, config.fine_samples), scoring)
+
+
+def _improved(
+    views: _Views, pose: Pose, passes: tuple[_Pass, ...], scoring: ScoringConfig, samples: int
+) -> Pose:
+    """Take the best of each pass's grid in turn."""
+    comparison = views.at(pose.height, samples)
+    for step in passes:
+        conflict = scoring.conflict_weight
+        if step.conflict_weight is not None:
+            conflict = min(conflict, step.conflict_weight)
+        weights = (conflict, scoring.free_weight)
+        centre = common_centre(comparison, pose)
+        turns, shifts = step.turns(), step.shifts()
+        scores = score_around(comparison, pose, centre, turns, shifts, weights)
+        k, i, j = np.unravel_index(int(scores.argmax()), scores.shape)
+        target = pose.moved(centre) + (shifts[i], shifts[j])
+        turned = Pose(pose.yaw + float(turns[k]), 0.0, 0.0, pose.height, float(scores[k, i, j]))
+        x, y = target - turned.moved(centre)
+        pose = replace(turned, x=float(x), y=float(y))
+    return pose
+
+
+def _scored(views: _Views, pose: Pose, scoring: ScoringConfig) -> Pose:
+    """S at a pose on all cells."""
+    comparison = views.at(pose.height, None)
+    weights = (scoring.conflict_weight, scoring.free_weight)
+    still = np.zeros(1)
+    return replace(
+        pose,
+        score=float(score_around(comparison, pose, np.zeros(2), still, still, weights)[0, 0, 0]),
+    )
+
+
+def distinct(views: _Views, poses: list[Pose], keep: int) -> list[Pose]:
+    """Return the best of each bunch of poses that are one, best first, at most `keep`."""
+    result: list[tuple[Pose, NDArray[np.float64]]] = []
+    order = sorted(poses, key=lambda p: (-p.score, p.height, p.yaw, p.x, p.y))
+    for pose in order:
+        if all(not same_pose(better, pose, centre, DISTINCT) for better, centre in result):
+            comparison = views.at(pose.height, 3000)
+            result.append((pose, common_centre(comparison, pose)))
+        if len(result) == keep:
+            break
+    return [pose for pose, _ in result]

@@ -1,0 +1,201 @@
+"""Every yaw and every shift at once: the score of all planar poses by FFT correlation.
+
+At each yaw b's walls, their free sides and its free floor are drawn on a 0.25 m raster and
+correlated with a's, the storeys that meet at a height added up. A building's own directions are not
+asked for: proposing yaws from wall directions misses buildings without a main one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from topometric_ros.configuration import parameter
+from topometric_ros.matching.search_fields import (
+    CELL,
+    MapFields,
+    StoreyFields,
+    candidate_heights,
+    storey_pairs,
+)
+from topometric_ros.matching.search_poses import Pose
+
+_CELLS_WALL_BLUR = 0.8
+_BLUR_GAIN = 1.8
+_LAYERS = 4
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """Resolution and weights of the coarse search."""
+
+    cell: float = parameter(0.25, "Edge of a raster cell.", unit="m", minimum=0.1, maximum=1.0)
+    yaw_step: float = parameter(3.0, "Step in yaw.", unit="deg", minimum=0.5, maximum=15.0)
+    side_weight: float = parameter(
+        0.5, "Share of a wall's score that hangs on its free side.", minimum=0.0, maximum=1.0
+    )
+    conflict_weight: float = parameter(
+        1.0, "Cost of a wall cell in the other map's free floor.", minimum=0.0, maximum=20.0
+    )
+    free_weight: float = parameter(
+        0.05, "Gain of a free cell in the other map's free floor.", minimum=0.0, maximum=1.0
+    )
+    maxima_per_yaw: int = parameter(8, "Best poses kept of each yaw.", minimum=1, maximum=100)
+    keep: int = parameter(80, "Best poses kept in all.", minimum=1, maximum=1000)
+    largest_raster: int = parameter(
+        2048, "Cells along a side above which the raster is drawn coarser.", minimum=128,
+        maximum=16384,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The raster that both maps are drawn on: cell size and (nx, ny), with a's and b's middles."""
+
+    cell: float
+    shape: tuple[int, int]
+    middle_a: NDArray[np.float64]
+    middle_b: NDArray[np.float64]
+
+
+def sweep(a: MapFields, b: MapFields, config: SweepConfig) -> list[Pose]:
+    """Return the best planar poses of b in a, best first, at most `config.keep`."""
+    heights = candidate_heights(a, b)
+    if not heights:
+        return []
+    frame = _frame(a, b, config)
+    fixed = [_transform(_kernels(_draw_fixed(s, frame), config), frame) for s in a.storeys]
+    pairs = [storey_pairs(a, b, height) for height in heights]
+    half_turn = round(180.0 / config.yaw_step)
+    rows: list[tuple[float, float, float, float, int]] = []
+    for k in range(half_turn):
+        yaw = np.pi * k / half_turn
+        moving = [_transform(_draw_moving(s, frame, yaw), frame) for s in b.storeys]
+        for level, meeting in enumerate(pairs):
+            for turned in (False, True):
+                field = _correlate(fixed, moving, meeting, frame, turned)
+                rows += _maxima(field, frame, yaw + np.pi * turned, level, config.maxima_per_yaw)
+    rows.sort(key=lambda row: (-row[0], row[4], row[1], row[2], row[3]))
+    return [
+        Pose((yaw + np.pi) % (2 * np.pi) - np.pi, x, y, heights[level], score)
+        for score, yaw, x, y, level in rows[: config.keep]
+    ]
+
+
+def _frame(a: MapFields, b: MapFields, config: SweepConfig) -> _Frame:
+    """A raster on which b, at any yaw, wraps round without meeting a twice."""
+    low_a, high_a = _bounds(a)
+    low_b, high_b = _bounds(b)
+    reach = float(np.linalg.norm(high_b - low_b)) + 2.0
+    size = high_a - low_a + reach
+    cell = max(config.cell, float(size.max()) / config.largest_raster)
+    nx, ny = (scipy.fft.next_fast_len(int(np.ceil(edge / cell)) + 4, real=True) for edge in size)
+    return _Frame(cell, (nx, ny), (low_a + high_a) / 2, (low_b + high_b) / 2)
+
+
+def _bounds(fields: MapFields) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    cells = np.concatenate([p for s in fields.storeys for p in (s.walls, s.free) if len(p)])
+    return cells.min(axis=0), cells.max(axis=0)
+
+
+def _draw(
+    storey: StoreyFields, frame: _Frame, middle: NDArray[np.float64], yaw: float
+) -> NDArray[np.float32]:
+    """Walls, free sides along x and y and free floor about `middle`, turned: (4, nx, ny)."""
+    R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    size = frame.shape[0] * frame.shape[1]
+
+    def index(cells: NDArray[np.float64]) -> NDArray[np.int64]:
+        k = np.floor((cells - middle) @ R.T / frame.cell + 0.5).astype(np.int64)
+        return (k[:, 0] % frame.shape[0]) * frame.shape[1] + k[:, 1] % frame.shape[1]
+
+    at_wall = index(storey.walls)
+    count = np.bincount(at_wall, minlength=size)
+    sides = storey.wall_sides @ R.T
+    layers = [count > 0]
+    for axis in (0, 1):
+        total = np.bincount(at_wall, weights=sides[:, axis], minlength=size)
+        layers.append(total / np.maximum(count, 1))
+    area = np.bincount(index(storey.free), minlength=size) * CELL**2
+    layers.append((area > 0.5 * frame.cell**2) & (count == 0))
+    return np.array(layers, np.float32).reshape(_LAYERS, *frame.shape)
+
+
+def _draw_fixed(storey: StoreyFields, frame: _Frame) -> NDArray[np.float32]:
+    return _draw(storey, frame, frame.middle_a, 0.0)
+
+
+def _draw_moving(storey: StoreyFields, frame: _Frame, yaw: float) -> NDArray[np.float32]:
+    return _draw(storey, frame, frame.middle_b, yaw)
+
+
+def _kernels(layers: NDArray[np.float32], config: SweepConfig) -> NDArray[np.float32]:
+    """What each layer of b gains or costs at each place of a: (4, nx, ny)."""
+    wall, side_x, side_y, free = layers
+
+    def blur(layer: NDArray[np.float32]) -> NDArray[np.float32]:
+        smooth = ndimage.gaussian_filter(layer, _CELLS_WALL_BLUR, mode="wrap") * _BLUR_GAIN
+        return np.clip(smooth, -1.0, 1.0)
+
+    return np.stack(
+        [
+            (1.0 - config.side_weight) * blur(wall) - config.conflict_weight * free,
+            config.side_weight * blur(side_x),
+            config.side_weight * blur(side_y),
+            config.free_weight * free - config.conflict_weight * wall,
+        ]
+    ).astype(np.float32)
+
+
+def _transform(layers: NDArray[np.float32], frame: _Frame) -> NDArray[np.complex64]:
+    return scipy.fft.rfft2(layers, s=frame.shape, workers=1)
+
+
+def _correlate(
+    fixed: list[NDArray[np.complex64]],
+    moving: list[NDArray[np.complex64]],
+    pairs: list[tuple[int, int]],
+    frame: _Frame,
+    turned: bool,
+) -> NDArray[np.float32]:
+    """Sum over layers and storeys of the correlation at every shift: (nx, ny).
+
+    Half a turn reverses b's rasters, which only conjugates their spectra (and flips the sides), so
+    every spectrum serves two yaws.
+    """
+    sign = (1, -1, -1, 1) if turned else (1, 1, 1, 1)
+    total = np.zeros((frame.shape[0], frame.shape[1] // 2 + 1), np.complex64)
+    for i, j in pairs:
+        for layer in range(_LAYERS):
+            spectrum = moving[j][layer]
+            other = spectrum if turned else np.conj(spectrum)
+            total += sign[layer] * fixed[i][layer] * other
+    return scipy.fft.irfft2(total, s=frame.shape, workers=1)
+
+
+def _maxima(
+    field: NDArray[np.float32], frame: _Frame, yaw: float, level: int, count: int
+) -> list[tuple[float, float, float, float, int]]:
+    """Best positive blocks of 8 x 8 shifts as (score, yaw, x, y, level)."""
+    nx, ny = (-(-n // 8) * 8 for n in field.shape)
+    padded = np.full((nx, ny), -np.inf, np.float32)
+    padded[: field.shape[0], : field.shape[1]] = field
+    blocks = padded.reshape(nx // 8, 8, ny // 8, 8).swapaxes(1, 2).reshape(-1, 64)
+    where = blocks.argmax(axis=1)
+    best = blocks.max(axis=1)
+    rows = []
+    for k in np.argsort(-best, kind="stable")[:count]:
+        if best[k] <= 0.0:
+            break
+        i = int(k // (ny // 8) * 8 + where[k] // 8)
+        j = int(k % (ny // 8) * 8 + where[k] % 8)
+        shift = [v - n if v > n // 2 else v for v, n in zip((i, j), frame.shape, strict=True)]
+        c, s = np.cos(yaw), np.sin(yaw)
+        turned = np.array([[c, -s], [s, c]]) @ frame.middle_b
+        x, y = np.array(shift) * frame.cell + frame.middle_a - turned
+        rows.append((float(best[k]), float(yaw), float(x), float(y), level))
+    return rows
