@@ -106,10 +106,8 @@ class Graph:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
 
-        self._context = rclpy.Context()
-        with _environment_of_graph():
-            rclpy.init(context=self._context, domain_id=_DOMAIN_ID)
-            self.node = rclpy.create_node(name, context=self._context)
+        self._context = private_context()
+        self.node = rclpy.create_node(name, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._stopping = False
@@ -154,17 +152,15 @@ def graph() -> Iterator[Graph]:
         own.close()
 
 
-@contextlib.contextmanager
-def _environment_of_graph() -> Iterator[None]:
-    before = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE")
+def private_context() -> Any:
+    """Return an initialised rclpy context on the private graph."""
+    import rclpy
+
+    context = rclpy.Context()
+    # Fast DDS reads the range when the first participant is made; the tests want no other.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"]
-        else:
-            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = before
+    rclpy.init(context=context, domain_id=_DOMAIN_ID)
+    return context
 
 
 def wait_for(

@@ -67,11 +67,12 @@ class Worker:
         """Have `work` called once more, soon; waking twice before that is one call."""
         self._wanted.set()
 
-    def stop(self, timeout_s: float) -> None:
-        """Stop after the present call of `work`, waiting for it `timeout_s` at most."""
+    def stop(self, timeout_s: float) -> bool:
+        """Stop after the present call of `work`; return whether it ended within `timeout_s`."""
         self._stopping = True
         self._wanted.set()
         self._thread.join(timeout_s)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         while True:

@@ -1,0 +1,222 @@
+"""What the nodes are made of: QoS, parameters, the worker, markers and clouds."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from test.helpers_ros import missing, private_context
+from topometric_ros.configuration import parameter
+from topometric_ros.errors import ConfigurationError
+from topometric_ros.topometric_map import Passage, Room, Storey, StoreyLayers, TopometricMap
+
+if missing():
+    pytest.skip(missing(), allow_module_level=True)
+
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.parameter import Parameter
+from visualization_msgs.msg import Marker
+
+from topometric_ros.io.pointcloud2 import points_from_message
+from topometric_ros.nodes import parameters, qos, tf
+from topometric_ros.nodes.clouds import room_cloud
+from topometric_ros.nodes.diagnostics import Level, Status, to_message
+from topometric_ros.nodes.markers import map_markers
+from topometric_ros.nodes.worker import Inbox, Worker
+
+
+@dataclass(frozen=True)
+class Walls:
+    thickness: float = parameter(0.1, "Of a wall.", unit="m", minimum=0.0, maximum=1.0)
+
+
+@dataclass(frozen=True)
+class Stage:
+    name: str = parameter("a", "A choice.", choices=("a", "b"))
+    count: int = parameter(3, "A count.", minimum=1)
+    walls: Walls = field(default_factory=Walls)
+
+
+@dataclass(frozen=True)
+class Own:
+    agents: tuple[str, ...] = parameter(("x",), "Agents.")
+
+
+@pytest.fixture
+def context() -> Iterator[Any]:
+    own = private_context()
+    yield own
+    own.shutdown()
+
+
+def make_node(context: Any, *overrides: str) -> Any:
+    arguments = ["--ros-args", *(text for value in overrides for text in ("-p", value))]
+    return rclpy.create_node(
+        "parts",
+        context=context,
+        cli_args=arguments,
+        use_global_arguments=False,
+        automatically_declare_parameters_from_overrides=True,
+    )
+
+
+def test_overrides_reach_the_configuration_in_its_own_types(context: Any) -> None:
+    node = make_node(context, "walls.thickness:=1", "name:=b", "agents:=[/r1, /r2]")
+    own, stage = parameters.declare(node, (Own(), Stage()), fixed=("agents",))
+    assert own == Own(agents=("/r1", "/r2"))
+    assert stage == Stage(name="b", walls=Walls(thickness=1.0))
+    assert node.get_parameter("walls.thickness").value == 1.0
+    described = node.describe_parameter("walls.thickness")
+    assert described.description == "Of a wall. [m]"
+    assert described.floating_point_range[0].to_value == 1.0
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("walls.thickness:=2.0", "walls.thickness: expected 0.0..1.0 m, got 2.0"),
+        ("count:=many", "count: expected int, got 'many'"),
+        ("name:=c", "name: expected one of a, b, got 'c'"),
+    ],
+)
+def test_a_wrong_override_is_refused_at_the_start(
+    context: Any, override: str, message: str
+) -> None:
+    node = make_node(context, override)
+    with pytest.raises(ConfigurationError, match=message):
+        parameters.declare(node, (Stage(),), fixed=())
+    node.destroy_node()
+
+
+def test_a_wrong_change_is_refused_with_the_reason_and_a_right_one_is_handed_on(
+    context: Any,
+) -> None:
+    node = make_node(context)
+    configs = parameters.declare(node, (Own(), Stage()), fixed=("agents",))
+    changes: list[Any] = []
+    parameters.on_change(node, configs, changes.append)
+
+    def set_one(name: str, value: Any) -> Any:
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    assert set_one("walls.thickness", 0.3).successful
+    assert changes[-1][1].walls.thickness == 0.3
+    assert "range" in set_one("walls.thickness", 7.0).reason
+    assert set_one("name", "c").reason == "name: expected one of a, b, got 'c'"
+    assert "read-only" in set_one("agents", ["y"]).reason
+    assert len(changes) == 1
+    assert node.get_parameter("walls.thickness").value == 0.3
+    node.destroy_node()
+
+
+def profile(reliable: bool, latched: bool) -> Any:
+    return qos._profile(reliable, latched, depth=1)
+
+
+def test_the_cloud_takes_the_strongest_profile_that_all_publishers_offer() -> None:
+    latched, plain, lossy = profile(True, True), profile(True, False), profile(False, False)
+    assert qos.describe(qos.strongest_common([latched])) == "reliable, transient local"
+    assert qos.describe(qos.strongest_common([latched, plain])) == "reliable, volatile"
+    assert qos.describe(qos.strongest_common([plain, lossy])) == "best effort, volatile"
+    assert qos.describe(qos.strongest_common([])) == "reliable, volatile"
+    assert qos.describe(qos.cloud_profile("best_effort", [latched])) == "best effort, volatile"
+
+
+def test_an_inbox_keeps_the_newest_and_counts_the_rest() -> None:
+    inbox: Inbox[int] = Inbox(2)
+    for item in range(5):
+        inbox.put(item)
+    assert (inbox.take_all(), inbox.dropped, len(inbox)) == ([3, 4], 3, 0)
+
+
+def test_a_worker_goes_on_after_a_failure() -> None:
+    done = threading.Event()
+    failures: list[Exception] = []
+
+    def work() -> None:
+        if not failures:
+            raise ValueError("once")
+        done.set()
+
+    worker = Worker(work, failures.append)
+    worker.wake()
+    end = time.monotonic() + 5.0
+    while not failures and time.monotonic() < end:
+        time.sleep(0.01)
+    worker.wake()
+    assert done.wait(5.0)
+    assert worker.stop(5.0)
+
+
+def tilted_map() -> TopometricMap:
+    """Two rooms of one voxel each with a passage; the level frame lies 1 m above the input's."""
+    T = np.eye(4)
+    T[2, 3] = -1.0
+
+    def room(identifier: int, x: float) -> Room:
+        return Room(identifier, 0, (x, 0.0, 0.0), ((x, 0.0, 0.0), (x, 0.0, 0.0)), 1, 0.01, False)
+
+    empty = np.zeros((1, 1), bool)
+    layers = StoreyLayers(0.05, (0.0, 0.0), empty, empty, empty, empty)
+    return TopometricMap(
+        agent="a",
+        session="s",
+        sequence=1,
+        frame_id="a/map",
+        stamp=0,
+        voxel_size=0.1,
+        origin=(0.0, 0.0, 0.0),
+        voxels=np.array([[0, 0, 0], [10, 0, 0]], np.int32),
+        offsets=np.zeros((2, 3), np.int8),
+        room=np.array([4, 7], np.int32),
+        navigable=np.empty((0, 3), np.int32),
+        viewpoints=np.empty((0, 3), np.float32),
+        rooms=(room(4, 0.0), room(7, 1.0)),
+        passages=(Passage((4, 7), (0.5, 0.0, 0.0), 0.9),),
+        storeys=(Storey(0, 0.0, None, layers),),
+        T_level_input=T,
+    )
+
+
+def test_markers_show_every_room_and_passage_in_the_agents_own_frame() -> None:
+    colours = np.zeros((2, 3), np.uint8)
+    markers = map_markers(tilted_map(), colours, Time()).markers
+    assert markers[0].action == Marker.DELETEALL
+    rooms = [m for m in markers if m.ns == "rooms"]
+    assert [(m.id, m.pose.position.x, m.pose.position.z) for m in rooms] == [(4, 0, 1), (7, 1, 1)]
+    (edges,) = (m for m in markers if m.ns == "edges")
+    assert [(p.x, p.z) for p in edges.points] == [(0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (0.5, 1.0)]
+    assert {m.header.frame_id for m in markers} == {"a/map"}
+
+
+def test_the_room_cloud_reads_back_in_the_agents_own_frame() -> None:
+    cloud = room_cloud(tilted_map(), Time())
+    points, dropped = points_from_message(cloud)
+    np.testing.assert_allclose(points, [[0, 0, 1], [1, 0, 1]], atol=1e-6)
+    assert dropped == 0
+    assert [f.name for f in cloud.fields] == ["x", "y", "z", "rgb", "label"]
+
+
+def test_a_transform_message_names_parent_and_child() -> None:
+    T = np.eye(4)
+    T[:3, 3] = 1.0, 2.0, 3.0
+    T[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    message = tf.to_message("map", "a/map", T, Time(sec=4))
+    assert (message.header.frame_id, message.child_frame_id) == ("map", "a/map")
+    assert message.transform.translation.z == 3.0
+    assert message.transform.rotation.z == pytest.approx(np.sqrt(0.5))
+
+
+def test_diagnostics_carry_level_and_numbers() -> None:
+    status = Status("extractor: input", Level.ERROR, "refused", {"clouds": 3, "age": 0.25})
+    (entry,) = to_message([status], "a", Time()).status
+    assert (entry.level, entry.hardware_id) == (b"\x02", "a")
+    assert {pair.key: pair.value for pair in entry.values} == {"clouds": "3", "age": "0.25"}
