@@ -1,0 +1,194 @@
+"""Point clouds from files: one function for every format, with the same checks for each."""
+
+from __future__ import annotations
+
+import logging
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.io.pcd import read_pcd_points
+from topometric_ros.io.ply import read_ply_points
+from topometric_ros.io.pointcloud2 import CloudError
+
+__all__ = ["CLOUD_SUFFIXES", "Cloud", "CloudError", "finite_cloud", "read_cloud", "up_rotation"]
+
+logger = logging.getLogger(__name__)
+
+_UP_ROTATIONS = {
+    "x": ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
+    "y": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
+    "z": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+}
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Finite points with z up, and what became of the others.
+
+    `points` (N, 3) float64, m, turned by `T_up_input` (4, 4) from the file's own frame; `dropped`
+    counts the points with a NaN or infinite coordinate; `warnings` are sentences for a person.
+    """
+
+    points: NDArray[np.float64]
+    dropped: int
+    warnings: tuple[str, ...]
+    T_up_input: NDArray[np.float64]
+
+
+def up_rotation(up: str) -> NDArray[np.float64]:
+    """Return `T_up_input` (4, 4): the rotation that turns the axis `up` of the input to z.
+
+    Raises
+    ------
+    CloudError
+        `up` is none of x, y and z.
+    """
+    if up not in _UP_ROTATIONS:
+        raise CloudError(f"up: expected x, y or z, got {up!r}")
+    T_up_input = np.eye(4)
+    T_up_input[:3, :3] = _UP_ROTATIONS[up]
+    return T_up_input
+
+
+def read_cloud(path: Path | str, up: str = "z") -> Cloud:
+    """Read a point cloud: .ply, .pcd, .xyz, .txt, .npy, .npz, .las or .laz.
+
+    Parameters
+    ----------
+    path : file to read
+    up : axis of the file that points up
+
+    Raises
+    ------
+    CloudError
+        The file is missing, damaged, of an unknown kind, or holds no finite point.
+    """
+    path = Path(path)
+    T_up_input = up_rotation(up)
+    reader = _READERS.get(path.suffix.lower())
+    if not path.exists():
+        raise CloudError(f"{path}: no such file")
+    if reader is None or path.is_dir():
+        raise CloudError(
+            f"{path}: expected a cloud file ({' '.join(CLOUD_SUFFIXES)}), "
+            f"got {'a directory' if path.is_dir() else repr(path.suffix)}"
+        )
+    try:
+        points = reader(path)
+    except OSError as error:
+        raise CloudError(f"{path}: cannot be read: {error}") from error
+    return finite_cloud(points, str(path), T_up_input)
+
+
+def finite_cloud(
+    points: NDArray[np.float64], source: str, T_up_input: NDArray[np.float64], dropped: int = 0
+) -> Cloud:
+    """Drop and count the points that are not finite, and turn the others so that z is up.
+
+    `dropped` points were left out before. Raises CloudError where no finite point is left.
+    """
+    if len(points) + dropped == 0:
+        raise CloudError(f"{source}: the cloud is empty (0 points)")
+    finite = np.isfinite(points).all(axis=1)
+    dropped += len(points) - int(np.count_nonzero(finite))
+    total = int(np.count_nonzero(finite)) + dropped
+    if dropped == total:
+        raise CloudError(f"{source}: none of the cloud's {total} points is finite")
+    kept = points[finite] if not finite.all() else points
+    warnings: tuple[str, ...] = ()
+    if dropped:
+        warnings = (f"{dropped} of {total} points were not finite and were dropped",)
+        logger.info("%s: %s", source, warnings[0])
+    if not np.array_equal(T_up_input, np.eye(4)):
+        kept = kept @ T_up_input[:3, :3].T
+    return Cloud(kept, dropped, warnings, T_up_input)
+
+
+def _read_text(path: Path) -> NDArray[np.float64]:
+    """Read x, y and z from the first three columns of a text file, separated by space or comma."""
+    with path.open("rb") as file:
+        lines = (line.replace(b",", b" ").replace(b";", b" ") for line in file)
+        rows = [line for line in lines if line.strip() and not line.lstrip().startswith(b"#")]
+    if not rows:
+        return np.empty((0, 3))
+    try:
+        return np.loadtxt(rows, usecols=(0, 1, 2), ndmin=2, comments=None)
+    except ValueError as error:
+        line = " ".join(str(error).split())
+        raise CloudError(f"{path}: expected three numbers a line: {line}") from error
+
+
+def _read_numpy(path: Path) -> NDArray[np.float64]:
+    """Read an (N, 3 or more) array; of an archive, the entry `points`, else its only one."""
+    try:
+        # Mapped, so that a file shorter than its header says is refused before memory is taken.
+        loaded = np.load(path, mmap_mode="r", allow_pickle=False)
+        if isinstance(loaded, np.lib.npyio.NpzFile):
+            with loaded as archive:
+                name = "points" if "points" in archive.files else None
+                if name is None and len(archive.files) == 1:
+                    name = archive.files[0]
+                if name is None:
+                    found = ", ".join(archive.files) or "none"
+                    raise CloudError(f"{path}: expected an array named points, got {found}")
+                array = archive[name]
+        else:
+            array = loaded
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        line = " ".join(str(error).split())
+        raise CloudError(f"{path}: not a complete numpy file: {line}") from error
+    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
+        raise CloudError(
+            f"{path}: expected numbers of shape (N, 3), got {array.dtype} {array.shape}"
+        )
+    return array[:, :3].astype(np.float64)
+
+
+def _read_las(path: Path) -> NDArray[np.float64]:
+    try:
+        import laspy
+    except ImportError as error:
+        raise CloudError(
+            f'{path}: reading LAS files needs an extra: pip install "laspy[lazrs]"'
+        ) from error
+    failures: tuple[type[BaseException], ...] = (laspy.errors.LaspyException, ValueError, EOFError)
+    try:
+        import lazrs
+
+        failures += (lazrs.LazrsError,)
+    except ImportError:
+        if path.suffix.lower() == ".laz":
+            raise CloudError(
+                f'{path}: reading LAZ files needs an extra: pip install "laspy[lazrs]"'
+            ) from None
+    try:
+        with laspy.open(path) as file:
+            expected = file.header.point_count
+            las = file.read()
+    except failures as error:
+        line = " ".join(str(error).split())
+        raise CloudError(f"{path}: not a complete LAS file: {line}") from error
+    if len(las.points) != expected:
+        raise CloudError(
+            f"{path}: the LAS file ends early: expected {expected} points, got {len(las.points)}"
+        )
+    return np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1)
+
+
+_READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {
+    ".ply": read_ply_points,
+    ".pcd": read_pcd_points,
+    ".xyz": _read_text,
+    ".txt": _read_text,
+    ".npy": _read_numpy,
+    ".npz": _read_numpy,
+    ".las": _read_las,
+    ".laz": _read_las,
+}
+CLOUD_SUFFIXES = tuple(_READERS)

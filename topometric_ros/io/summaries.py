@@ -1,0 +1,130 @@
+"""What people and other programs look at: map.json (a summary) and rooms.ply (design §4)."""
+
+from __future__ import annotations
+
+import colorsys
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.io.map_format import MapFileError
+from topometric_ros.io.ply import write_ply
+from topometric_ros.topometric_map import NO_ROOM, TopometricMap
+
+_GREY = (128, 128, 128)
+
+
+def write_map_summary(path: Path, topometric_map: TopometricMap) -> None:
+    """Write map.json (design, section 4)."""
+    write_json(path, map_summary(topometric_map))
+
+
+def map_summary(m: TopometricMap) -> dict[str, Any]:
+    """Return the content of map.json; positions are in the level frame."""
+    return {
+        "schema": m.schema,
+        "agent": m.agent,
+        "frame_id": m.frame_id,
+        "voxel_size": float(m.voxel_size),
+        "warnings": list(m.warnings),
+        "T_level_input": [floats(row) for row in m.T_level_input],
+        **graph_fields(m),
+        "storeys": [
+            {"id": s.id, "floor_z": float(s.floor_z), "ceiling_z": optional(s.ceiling_z)}
+            for s in m.storeys
+        ],
+    }
+
+
+def write_rooms_ply(
+    path: Path, m: TopometricMap, observed_by: NDArray[np.uint32] | None = None
+) -> None:
+    """Write one vertex a voxel: its cell centre in the input's frame, its room and a colour.
+
+    With `observed_by` (N,) the property `agent` is added: the bit mask of who saw the voxel.
+    """
+    centres = m.centres()
+    if not np.array_equal(m.T_level_input, np.eye(4)):
+        T_input_level = np.linalg.inv(m.T_level_input)
+        centres = centres @ T_input_level[:3, :3].T + T_input_level[:3, 3]
+    dtype = [(axis, "<f8") for axis in "xyz"] + [("room", "<i4")]
+    dtype += [(channel, "u1") for channel in ("red", "green", "blue")]
+    dtype += [("agent", "<i4")] if observed_by is not None else []
+    vertices = np.empty(len(centres), dtype)
+    for axis, name in enumerate("xyz"):
+        vertices[name] = centres[:, axis]
+    vertices["room"] = m.room
+    colours = room_colours(m.room)
+    for channel, name in enumerate(("red", "green", "blue")):
+        vertices[name] = colours[:, channel]
+    if observed_by is not None:
+        vertices["agent"] = observed_by.view(np.int32)
+    write_ply(path, vertices)
+
+
+def room_colours(room: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """Return a colour for each room id (N,): (N, 3) uint8, grey for voxels without a room.
+
+    Hues follow the golden ratio, so that consecutive ids differ clearly and an id keeps its colour.
+    """
+    ids, which = np.unique(room, return_inverse=True)
+    table = np.empty((len(ids), 3), np.uint8)
+    for row, room_id in enumerate(ids.tolist()):
+        hue = (0.1 + room_id * 0.618033988749895) % 1.0
+        strong = colorsys.hsv_to_rgb(hue, 0.55 + 0.3 * (room_id % 2), 0.95)
+        table[row] = _GREY if room_id == NO_ROOM else [round(255 * part) for part in strong]
+    return table[which]
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON in one step, refusing numbers that JSON has no word for."""
+    write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file in one step, so that nobody ever reads half of it."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(data)
+        partial.replace(path)
+    except OSError as error:
+        raise MapFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def floats(values: Any) -> list[float]:
+    """Return numbers of any kind as Python floats, which JSON keeps exactly."""
+    return [float(value) for value in values]
+
+
+def optional(value: float | None) -> float | None:
+    """Return a number as a Python float, and None as it is."""
+    return None if value is None else float(value)
+
+
+def graph_fields(m: TopometricMap) -> dict[str, Any]:
+    """Return rooms and passages as map.json and the header of a .tmap hold them."""
+    return {
+        "rooms": [
+            {
+                "id": int(room.id),
+                "storey": int(room.storey),
+                "centroid": floats(room.centroid),
+                "bounds": [floats(corner) for corner in room.bounds],
+                "voxels": int(room.voxels),
+                "area": float(room.area),
+                "isolated": bool(room.isolated),
+            }
+            for room in m.rooms
+        ],
+        "passages": [
+            {
+                "rooms": [int(room_id) for room_id in passage.rooms],
+                "position": floats(passage.position),
+                "width": float(passage.width),
+            }
+            for passage in m.passages
+        ],
+    }
