@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 
 NAME = "topometric_ros"
 VERSION = re.search(r'__version__ = "(.+)"', Path(f"{NAME}/__init__.py").read_text())[1]
-# open3d-cpu is the same module without CUDA, a third of the size; it has wheels for this platform only.
+# open3d-cpu is the same module without CUDA, a third of the size, with wheels for this platform.
 X86_LINUX = "sys_platform == 'linux' and platform_machine == 'x86_64'"
 ELSEWHERE = "sys_platform != 'linux' or platform_machine != 'x86_64'"
 

@@ -7,4 +7,4 @@ set -euo pipefail
 venv=$(realpath "$1")
 cd "$(dirname "$0")/.."
 rm -rf "$venv/share/topometric_ros" "$venv/lib/topometric_ros"
-"$venv/bin/python" setup.py -q install_data --install-dir "$venv"
+"$venv/bin/python" -W ignore setup.py -q install_data --install-dir "$venv"
