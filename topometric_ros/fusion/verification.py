@@ -81,8 +81,8 @@ class Decision:
     """What became of a pair of maps.
 
     `best` is the index of the best candidate (None without any), also where it is not accepted;
-    `confidence` 0..1, see :func:`confidence`. `alternatives` are the best distinct poses between the
-    level frames with their values, the best first, where there is something to choose from.
+    `confidence` 0..1, see :func:`confidence`. `alternatives` are up to five distinct poses between
+    the level frames with their values, best first, the one at `best` among them.
     """
 
     status: AlignmentStatus
@@ -147,9 +147,9 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
 def confidence(gap: float, ratio: float, config: VerificationConfig) -> float:
     """Return how far the best pose is ahead of the runner-up: 0..1, accepted from 0.5.
 
-    With gap = V1 − V2 and ratio = V2 / V1, m = max over both rules of
-    min(gap / least gap, greatest ratio / ratio) and the confidence is m / (1 + m): it rises with the
-    gap, falls with the ratio and is 0.5 exactly where a rule is met. It is no probability.
+    With gap = V1 − V2 and ratio = V2 / V1, m is the larger over both rules of
+    min(gap / least gap, greatest ratio / ratio) and the confidence is m / (1 + m): it rises with
+    the gap, falls with the ratio and is 0.5 where a rule is just met. It is no probability.
     """
     ratio = max(ratio, 1e-9)
     margin = max(
@@ -231,15 +231,15 @@ def _why_ambiguous(
             "let the maps share more rooms"
         )
     shift, turn = _difference(candidate.T_a_b, rival.T_a_b, evidence.centre)
-    needed = (
-        f"at most {config.clear_ratio:.0%} allowed"
-        if gap < config.wide_gap
-        else f"at most {config.wide_ratio:.0%} allowed"
-    )
+    limits = f"{ratio:.0%} of it, at most {config.wide_ratio:.0%} allowed"
+    if gap < config.wide_gap:
+        limits = (
+            f"at most {config.clear_ratio:.0%} of it allowed "
+            f"while the lead of {gap:.0f} is under {config.wide_gap:g}"
+        )
     return (
-        f"another pose, {shift:.1f} m and {turn:.0f}° away, fits nearly as well: value {second:.0f} "
-        f"against {evidence.value:.0f} ({ratio:.0%}, {needed}; "
-        f"or a lead of {config.wide_gap:g}, it is {gap:.0f})"
+        f"another pose, {shift:.1f} m and {turn:.0f}° away, fits nearly as well: "
+        f"value {second:.0f} against {evidence.value:.0f}, {limits}"
     )
 
 

@@ -1,8 +1,8 @@
 """What one map offers the search and the verification: lookup tables and cells of each storey.
 
-Two ideas carry both. *Free space decides*: a wall of one map inside the seen-free floor of the other
-disproves a pose. *A wall has a free side*: walls that were seen from opposite sides must not match,
-so each wall cell carries the unit vector towards the floor in front of it.
+Two ideas carry both. *Free space decides*: a wall of one map inside the seen-free floor of the
+other disproves a pose. *A wall has a free side*: walls that were seen from opposite sides must not
+match, so each wall cell carries the unit vector towards the floor in front of it.
 """
 
 from __future__ import annotations
