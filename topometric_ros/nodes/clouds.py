@@ -51,4 +51,4 @@ def room_cloud(topometric_map: TopometricMap, stamp: Time) -> PointCloud2:
 def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:
     """Return (N, 3) colours as (N,) uint32 0x00RRGGBB."""
     red, green, blue = (colours[:, channel].astype(np.uint32) for channel in range(3))
-    return (red << 16) | (green << 8) | blue
+    return np.asarray((red << 16) | (green << 8) | blue, np.uint32)

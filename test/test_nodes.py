@@ -1,0 +1,220 @@
+"""The real extractor and merger processes over DDS: what a user's robots would meet."""
+
+from __future__ import annotations
+
+import array
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from test import helpers_ros
+from test.helpers import box_room
+from test.helpers_ros import Graph, NodeProcess, wait_for
+
+pytestmark = [
+    pytest.mark.dds,
+    pytest.mark.skipif(bool(helpers_ros.missing()), reason=helpers_ros.missing()),
+]
+
+DEMO = helpers_ros.ROOT / "bags" / "demo"
+EXTRACTOR = "topometric_ros.nodes.extractor"
+MERGER = "topometric_ros.nodes.merger"
+START_S = 60.0
+WORK_S = 90.0
+
+
+@pytest.fixture
+def own() -> Iterator[Graph]:
+    with helpers_ros.graph() as graph:
+        yield graph
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Any]:
+    """Start node processes; whatever is still there at the end of the test is killed."""
+    processes: list[NodeProcess] = []
+
+    def begin(module: str, *arguments: str) -> NodeProcess:
+        log = tmp_path / f"{len(processes)}_{module.rsplit('.', 1)[-1]}.log"
+        processes.append(NodeProcess(module, ["--ros-args", *arguments], log))
+        return processes[-1]
+
+    yield begin
+    for process in processes:
+        if process.alive:
+            process.stop(signal.SIGKILL)
+
+
+def flat() -> np.ndarray:
+    """Two rooms with a door between them, (N, 3) m."""
+    a = box_room((0.0, 0.0, 0.0), (4.0, 5.0, 2.6), doors=(("x+", 2.0),))
+    b = box_room((4.1, 0.0, 0.0), (5.0, 5.0, 2.6), doors=(("x-", 2.0),))
+    return np.concatenate([a, b])
+
+
+def cloud_message(points: np.ndarray, frame_id: str, point_step: int = 12) -> Any:
+    from sensor_msgs.msg import PointCloud2, PointField
+
+    message = PointCloud2(height=1, width=len(points), point_step=point_step)
+    message.header.frame_id = frame_id
+    message.header.stamp.sec = 1_700_000_000
+    message.fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+        for i, name in enumerate("xyz")
+    ]
+    message.row_step = 12 * len(points)
+    message.data = array.array("B", points.astype("<f4").tobytes())
+    return message
+
+
+def difference(T_found: np.ndarray, T_true: np.ndarray) -> tuple[float, float]:
+    """Return how far two transforms are apart: metres and degrees."""
+    D = np.linalg.inv(T_true) @ T_found
+    angle = np.degrees(np.arccos(np.clip((np.trace(D[:3, :3]) - 1) / 2, -1, 1)))
+    return float(np.linalg.norm(D[:3, 3])), float(angle)
+
+
+def matrix(transform: Any) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    q, t = transform.rotation, transform.translation
+    T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    T[:3, 3] = t.x, t.y, t.z
+    return T
+
+
+def test_two_robots_recorded_scans_become_one_global_map(own: Graph, start: Any) -> None:
+    from tf2_msgs.msg import TFMessage
+    from topometric_msgs.msg import Alignment, AlignmentArray, TopometricMap
+
+    from topometric_ros.nodes import qos
+
+    T_true = np.array(json.loads((DEMO.parent / "demo.truth.json").read_text())["T_robot1_robot2"])
+    names = ("robot1", "robot2")
+    extractors = [
+        start(EXTRACTOR, "-r", f"__ns:=/{name}", "-r", "cloud:=scan_cloud") for name in names
+    ]
+    merger = start(MERGER, "-p", "agents:=[/robot1, /robot2]")
+    processes = (*extractors, merger)
+    alignments = own.subscribe(AlignmentArray, "alignments", qos.SNAPSHOT)
+    maps = own.subscribe(TopometricMap, "global_map", qos.SNAPSHOT)
+    transforms = own.subscribe(TFMessage, "/tf", qos.TRANSFORMS)
+    helpers_ros.play_bag(own, DEMO, rate=4.0, limit_s=START_S)
+    for name in names:
+        request = service("ExtractNow").Request()
+        response = own.call(service("ExtractNow"), f"/{name}/extractor/extract_now", request)
+        assert response.code == 0, response.message
+
+    def accepted() -> Any:
+        states = alignments.last.alignments if len(alignments) else []
+        return next((a for a in states if a.status == Alignment.ACCEPTED), None)
+
+    wait_for(accepted, WORK_S, "accepted alignment", processes)
+    response = own.call(service("MergeNow"), "/merger/merge_now", service("MergeNow").Request())
+    assert (response.code, response.agents, response.aligned) == (0, 2, 2), response.message
+    alignment = wait_for(accepted, 5.0, "accepted alignment", processes)
+    metres, degrees = difference(np.array(alignment.t_a_b).reshape(4, 4), T_true)
+    assert metres < 0.15
+    assert degrees < 1.0
+    assert set(maps.last.observers) == set(names)
+    assert maps.last.voxel_count > 0
+    assert len(maps.last.rooms) > 0
+
+    placed = wait_for(lambda: placements(transforms, "map", names), 5.0, "/tf of both", processes)
+    metres, degrees = difference(np.linalg.inv(placed["robot1"]) @ placed["robot2"], T_true)
+    assert metres < 0.15
+    assert degrees < 1.0
+    assert [process.stop(signal.SIGTERM) for process in processes] == [0, 0, 0]
+
+
+def service(name: str) -> Any:
+    import topometric_msgs.srv
+
+    return getattr(topometric_msgs.srv, name)
+
+
+def placements(transforms: Any, frame: str, agents: tuple[str, ...]) -> dict[str, Any] | None:
+    """Return the newest transform of each agent to the global frame, once all are there."""
+    found = {
+        entry.child_frame_id.split("/")[0]: matrix(entry.transform)
+        for message in list(transforms.messages)
+        for entry in message.transforms
+        if entry.header.frame_id == frame
+    }
+    return found if set(found) == set(agents) else None
+
+
+def test_a_latched_map_that_was_published_before_the_extractor_started_is_received(
+    own: Graph, start: Any
+) -> None:
+    from sensor_msgs.msg import PointCloud2
+    from topometric_msgs.msg import TopometricMap
+
+    from topometric_ros.nodes import qos
+
+    publisher = own.node.create_publisher(PointCloud2, "/early/cloud_map", qos.SNAPSHOT)
+    publisher.publish(cloud_message(flat(), "early/map"))
+    maps = own.subscribe(TopometricMap, "/early/topometric_map", qos.SNAPSHOT)
+    process = start(EXTRACTOR, "-r", "__ns:=/early", "-r", "cloud:=cloud_map")
+    wait_for(lambda: len(maps), WORK_S, "map", (process,))
+    assert (maps.last.agent, maps.last.header.frame_id) == ("early", "early/map")
+    assert len(maps.last.rooms) == 2
+    assert "transient local" in process.log
+    assert process.stop(signal.SIGINT) == 0
+
+
+def test_a_cloud_that_cannot_be_right_is_refused_and_the_next_good_one_works(
+    own: Graph, start: Any, tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import PointCloud2
+    from topometric_msgs.msg import TopometricMap
+
+    from topometric_ros.nodes import qos
+
+    process = start(EXTRACTOR, "-r", "__ns:=/bad", "-p", "mode:=map")
+    publisher = own.node.create_publisher(PointCloud2, "/bad/cloud", qos.CLOUD_RELIABLE)
+    maps = own.subscribe(TopometricMap, "/bad/topometric_map", qos.SNAPSHOT)
+    diagnostics = own.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+    wait_for(publisher.get_subscription_count, START_S, "extractor", (process,))
+    publisher.publish(cloud_message(flat(), "bad/map", point_step=16))
+
+    def refused() -> bool:
+        return any(
+            status.level == b"\x02" and "row_step" in status.message
+            for message in list(diagnostics.messages)
+            for status in message.status
+        )
+
+    wait_for(refused, 10.0, "diagnostics entry of the refused cloud", (process,))
+    assert process.alive
+    assert len(maps) == 0
+    assert process.log.count("row_step") == 1
+    publisher.publish(cloud_message(flat(), "bad/map"))
+    wait_for(lambda: len(maps), WORK_S, "map of the good cloud", (process,))
+
+    path = tmp_path / "saved.tmap"
+    request = service("SaveMap").Request(path=str(path))
+    response = own.call(service("SaveMap"), "/bad/extractor/save_map", request)
+    assert (response.code, response.path) == (0, str(path)), response.message
+    from topometric_ros.io.map_files import load_map
+
+    assert load_map(path).sequence == maps.last.sequence
+    session = maps.last.session
+    response = own.call(service("Reset"), "/bad/extractor/reset", service("Reset").Request())
+    assert response.code == 0
+    assert response.session not in ("", session)
+    assert process.stop(signal.SIGTERM) == 0
+
+
+def test_a_wrong_parameter_ends_the_node_with_one_line_and_status_two(start: Any) -> None:
+    process = start(EXTRACTOR, "-p", "voxel_size:=-1.0")
+    assert process.wait(START_S) == 2
+    assert process.log.count("voxel_size: expected") == 1
+    assert "Traceback" not in process.log

@@ -1,0 +1,117 @@
+"""What the merger tells the operator: a status for each agent and for each pair of agents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from topometric_ros.alignment import (
+    AgentPlacement,
+    AgentStatus,
+    Alignment,
+    AlignmentStatus,
+    MergeResult,
+)
+from topometric_ros.nodes.diagnostics import Level, Status
+from topometric_ros.topometric_map import TopometricMap
+
+_NANOSECONDS = 1e-9
+
+_ALIGNMENT_LEVELS = {
+    AlignmentStatus.ACCEPTED: Level.OK,
+    AlignmentStatus.NONE: Level.WARN,
+    AlignmentStatus.AMBIGUOUS: Level.WARN,
+    AlignmentStatus.REJECTED: Level.WARN,
+    AlignmentStatus.WITHDRAWN: Level.ERROR,
+}
+
+
+@dataclass
+class AgentInput:
+    """What came from one agent; `refusal` is why the last message was refused, until a good one."""
+
+    topic: str
+    received: int = 0
+    refused: int = 0
+    refusal: str = ""
+    newest: TopometricMap | None = None
+    arrived: int = 0
+    """When `newest` arrived, ns."""
+
+    def refuse(self, reason: str) -> bool:
+        """Count a message that cannot be used; return whether the reason is a new one."""
+        is_new = reason != self.refusal
+        self.refused += 1
+        self.refusal = reason
+        return is_new
+
+
+@dataclass
+class MergerReport:
+    """The inputs by topic, the newest result and why the last merge failed, if it did."""
+
+    inputs: dict[str, AgentInput] = field(default_factory=dict)
+    result: MergeResult | None = None
+    failure: str = ""
+
+    def statuses(self, node: str, now: int) -> list[Status]:
+        """Return the statuses of agents and alignments for `/diagnostics`; `now` in ns."""
+        placements = {p.id: p for p in self.result.agents} if self.result else {}
+        result = [self._merge(node)]
+        for entry in self.inputs.values():
+            agent = entry.newest.agent if entry.newest else ""
+            result.append(_agent(node, entry, placements.get(agent), now))
+        alignments = self.result.alignments if self.result else ()
+        return result + [_alignment(node, alignment) for alignment in alignments]
+
+    def _merge(self, node: str) -> Status:
+        if self.failure:
+            return Status(f"{node}: merge", Level.ERROR, f"merging failed: {self.failure}")
+        if self.result is None:
+            return Status(f"{node}: merge", Level.WARN, "nothing merged yet")
+        placed = sum(p.T_global_agent is not None for p in self.result.agents)
+        text = f"{placed} of {len(self.inputs)} agents in the global map"
+        values = {"global frame": self.result.global_frame, **self.result.timings}
+        if self.result.warnings:
+            text = f"{text}; {self.result.warnings[0]}"
+        complete = placed == len(self.inputs) and not self.result.warnings
+        return Status(f"{node}: merge", Level.OK if complete else Level.WARN, text, values)
+
+
+def _agent(node: str, entry: AgentInput, placement: AgentPlacement | None, now: int) -> Status:
+    name = f"{node}: agent {entry.topic}"
+    values: dict[str, object] = {"received": entry.received, "refused": entry.refused}
+    m = entry.newest
+    if m is not None:
+        values |= {
+            "agent": m.agent,
+            "session": m.session,
+            "sequence": m.sequence,
+            "frame": m.frame_id,
+            "age [s]": (now - entry.arrived) * _NANOSECONDS,
+            "rooms": len(m.rooms),
+            "voxels": len(m.voxels),
+        }
+    if entry.refusal:
+        return Status(name, Level.ERROR, f"last map refused: {entry.refusal}", values)
+    if m is None:
+        return Status(name, Level.WARN, "no map yet", values)
+    if placement is None:
+        return Status(name, Level.WARN, "not merged yet", values)
+    known = placement.status is not AgentStatus.UNALIGNED
+    text = f"{placement.status}: {placement.reason}" if placement.reason else placement.status.value
+    return Status(name, Level.OK if known else Level.WARN, text, values)
+
+
+def _alignment(node: str, alignment: Alignment) -> Status:
+    values = {
+        "status": alignment.status.value,
+        "confidence": float(alignment.confidence),
+        "overlap": float(alignment.overlap),
+        "rmse [m]": float(alignment.rmse),
+        "score": float(alignment.score),
+        "matches": len(alignment.matches),
+        "alternatives": len(alignment.alternatives),
+    }
+    name = f"{node}: alignment {' - '.join(alignment.agents)}"
+    text = f"{alignment.status}: {alignment.reason}"
+    return Status(name, _ALIGNMENT_LEVELS[alignment.status], text, values)
