@@ -69,7 +69,6 @@ def visibilities(
         VoxelIndex(grid.coords).table,
         grid.coords,
         starts,
-        positions,
         config.radius / grid.voxel_size,
         (len(grid) + 63) // 64,
     )
@@ -77,10 +76,10 @@ def visibilities(
 
 
 @njit(cache=True, nogil=True)
-def _views(table, coords, starts, positions, radius, words):  # type: ignore[no-untyped-def]
+def _views(table, coords, starts, radius, words):  # type: ignore[no-untyped-def]
     result = np.zeros((len(starts), words), np.uint64)
     for view in range(len(starts)):
-        for row in seen_rows(table, coords, starts[view], positions[view], radius):
+        for row in seen_rows(table, coords, starts[view], radius):
             result[view, row >> 6] |= np.uint64(1) << np.uint64(row & 63)
     return result
 

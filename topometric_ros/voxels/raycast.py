@@ -18,13 +18,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
-from topometric_ros.voxels.index import VoxelIndex, bit_count, brick_bit, brick_slot, rows_within
+from topometric_ros.voxels.index import VoxelIndex, row_at, rows_within
 
 STEPS = 256
 """Positions are rounded to this part of a cell: 0.4 mm at 0.1 m."""
 LONGEST_RAY = 4000
 """Extent of a ray along each axis, in cells; products of three extents must fit 64 bits."""
 
+_STEP_BITS = 8
+_LARGEST_BOX = 1 << 26
+"""Cells, a byte each, of the dense copy of what lies round a position."""
 _NEVER = np.int64(1) << np.int64(62)
 
 
@@ -77,7 +80,7 @@ def visible(
     coords : (N, 3) int32, the occupied voxels
     """
     start, _ = _rounded(position[None], position[None] + min(radius, LONGEST_RAY - 1))
-    return np.sort(seen_rows(index.table, coords, start[0], position, float(radius)))
+    return np.sort(seen_rows(index.table, coords, start[0], float(radius)))
 
 
 def _rounded(
@@ -95,81 +98,65 @@ def _rounded(
 
 
 @njit(cache=True, nogil=True)
-def _begin(start, end):  # type: ignore[no-untyped-def]
-    """First cell, direction, next crossing and its increment for each axis, and the ray's end.
+def _axis(start, end, others):  # type: ignore[no-untyped-def]
+    """First cell, direction, first crossing and time between crossings along one axis.
 
-    Crossings are times along the ray, multiplied by the product of its extents to be whole.
+    Times run along the ray and are multiplied by the product of its three extents (0 counting as
+    1) to be whole; `others` is the product of the other two.
     """
-    cell = (start + STEPS // 2) // STEPS
-    step = np.zeros(3, np.int64)
-    crossing = np.full(3, _NEVER)
-    increment = np.zeros(3, np.int64)
-    extent = np.maximum(np.abs(end - start), 1)
-    last = extent[0] * extent[1] * extent[2]
-    for axis in range(3):
-        if end[axis] == start[axis]:
-            continue
-        others = last // extent[axis]
-        low = cell[axis] * STEPS - STEPS // 2
-        if end[axis] > start[axis]:
-            step[axis] = 1
-            crossing[axis] = (low + STEPS - start[axis]) * others
-        else:
-            step[axis] = -1
-            crossing[axis] = (start[axis] - low) * others
-        increment[axis] = STEPS * others
-    return cell, step, crossing, increment, last
+    cell = (start + STEPS // 2) >> _STEP_BITS
+    low = (cell << _STEP_BITS) - STEPS // 2
+    if end > start:
+        return cell, np.int64(1), (low + STEPS - start) * others, STEPS * others
+    if end < start:
+        return cell, np.int64(-1), (start - low) * others, STEPS * others
+    return cell, np.int64(0), _NEVER, np.int64(0)
 
 
 @njit(cache=True, nogil=True)
 def _cells(start, end):  # type: ignore[no-untyped-def]
-    cell, step, crossing, increment, last = _begin(start, end)
-    cells = [(cell[0], cell[1], cell[2])]
-    while True:
-        now = crossing.min()
-        if now >= last:
-            break
-        for axis in range(3):
-            if crossing[axis] == now:
-                cell[axis] += step[axis]
-                crossing[axis] += increment[axis]
-        cells.append((cell[0], cell[1], cell[2]))
-    result = np.empty((len(cells), 3), np.int64)
-    for i in range(len(cells)):
-        result[i, 0], result[i, 1], result[i, 2] = cells[i]
-    return result
+    extent = np.maximum(np.abs(end - start), 1)
+    last = extent[0] * extent[1] * extent[2]
+    x, dx, tx, ex = _axis(start[0], end[0], extent[1] * extent[2])
+    y, dy, ty, ey = _axis(start[1], end[1], extent[2] * extent[0])
+    z, dz, tz, ez = _axis(start[2], end[2], extent[0] * extent[1])
+    cells = [(x, y, z)]
+    now = min(tx, ty, tz)
+    while now < last:
+        if tx == now:
+            x, tx = x + dx, tx + ex
+        if ty == now:
+            y, ty = y + dy, ty + ey
+        if tz == now:
+            z, tz = z + dz, tz + ez
+        cells.append((x, y, z))
+        now = min(tx, ty, tz)
+    return np.array(cells)
 
 
 @njit(cache=True, nogil=True)
 def _first_hit(table, start, end):  # type: ignore[no-untyped-def]
-    """Row of the first occupied voxel on a ray, -1 if none; looks bricks up once each."""
-    cell, step, crossing, increment, last = _begin(start, end)
-    x, y, z = cell[0], cell[1], cell[2]
-    cx, cy, cz = crossing[0], crossing[1], crossing[2]
-    brick = (x >> 2, y >> 2, z >> 2)
-    slot = brick_slot(table, x, y, z)
-    mask = table[1][slot]
-    while True:
-        now = min(cx, cy, cz)
-        if now >= last:
-            return np.int64(-1)
-        if cx == now:
-            x += step[0]
-            cx += increment[0]
-        if cy == now:
-            y += step[1]
-            cy += increment[1]
-        if cz == now:
-            z += step[2]
-            cz += increment[2]
-        if (x >> 2) != brick[0] or (y >> 2) != brick[1] or (z >> 2) != brick[2]:
-            brick = (x >> 2, y >> 2, z >> 2)
-            slot = brick_slot(table, x, y, z)
-            mask = table[1][slot]
-        if mask != np.uint64(0):
-            bit = brick_bit(x, y, z)
-            if mask & bit != np.uint64(0):
-                return table[3][table[2][slot] + bit_count(mask & (bit - np.uint64(1)))]
+    """Row of the first occupied voxel on a ray, -1 if none; steps as `_cells` does."""
+    wide = max(abs(end[0] - start[0]), 1)
+    deep = max(abs(end[1] - start[1]), 1)
+    high = max(abs(end[2] - start[2]), 1)
+    last = wide * deep * high
+    x, dx, tx, ex = _axis(start[0], end[0], deep * high)
+    y, dy, ty, ey = _axis(start[1], end[1], high * wide)
+    z, dz, tz, ez = _axis(start[2], end[2], wide * deep)
+    now = min(tx, ty, tz)
+    while now < last:
+        if tx == now:
+            x, tx = x + dx, tx + ex
+        if ty == now:
+            y, ty = y + dy, ty + ey
+        if tz == now:
+            z, tz = z + dz, tz + ez
+        row = row_at(table, x, y, z)
+        if row >= 0:
+            return row
+        now = min(tx, ty, tz)
+    return np.int64(-1)
 
 
 @njit(cache=True, nogil=True)
@@ -181,15 +168,73 @@ def _first_hits(table, starts, ends):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def seen_rows(table, coords, start, position, radius):  # type: ignore[no-untyped-def]
-    """Rows of the voxels within `radius` whose centre a ray from `start` reaches, not sorted."""
-    near = rows_within(table, position, radius)
+def seen_rows(table, coords, start, radius):  # type: ignore[no-untyped-def]
+    """Rows of the voxels within `radius` cells whose centre a ray from `start` reaches, unsorted.
+
+    `start` (3,) int64 is in 1/256 of a cell. All rays of one position cross the same small space,
+    so its voxels are copied into a dense box first: a step is then one look into memory that the
+    processor keeps at hand. Where the box would be too large the hash table serves.
+    """
+    position = start / STEPS
+    # A ray within the radius may touch voxels whose centre lies up to half a diagonal beyond it.
+    near = rows_within(table, position, radius + 1.0)
+    low = (start + STEPS // 2) >> _STEP_BITS
+    high = low.copy()
+    for row in near:
+        for axis in range(3):
+            low[axis] = min(low[axis], coords[row, axis])
+            high[axis] = max(high[axis], coords[row, axis])
+    shape = high - low + 1
+    dense = shape[0] * shape[1] * shape[2] <= _LARGEST_BOX
+    box = np.zeros(shape[0] * shape[1] * shape[2] if dense else 0, np.bool_)
+    if dense:
+        for row in near:
+            x, y, z = coords[row, 0] - low[0], coords[row, 1] - low[1], coords[row, 2] - low[2]
+            box[(x * shape[1] + y) * shape[2] + z] = True
     end = np.empty(3, np.int64)
     count = 0
     for row in near:
+        square = 0.0
         for axis in range(3):
-            end[axis] = coords[row, axis] * STEPS
-        if _first_hit(table, start, end) == row:
+            end[axis] = np.int64(coords[row, axis]) << _STEP_BITS
+            square += (coords[row, axis] - position[axis]) ** 2
+        if square > radius * radius:
+            continue
+        if dense:
+            seen = _reaches(box, low, shape, start, end)
+        else:
+            hit = _first_hit(table, start, end)
+            seen = hit == row or hit < 0  # the voxel that holds the start is seen, too
+        if seen:
             near[count] = row
             count += 1
     return near[:count]
+
+
+@njit(cache=True, nogil=True)
+def _reaches(box, low, shape, start, end):  # type: ignore[no-untyped-def]
+    """Whether a ray to an occupied cell enters no other before; steps as `_cells` does."""
+    wide = max(abs(end[0] - start[0]), 1)
+    deep = max(abs(end[1] - start[1]), 1)
+    high = max(abs(end[2] - start[2]), 1)
+    last = wide * deep * high
+    x, dx, tx, ex = _axis(start[0], end[0], deep * high)
+    y, dy, ty, ey = _axis(start[1], end[1], high * wide)
+    z, dz, tz, ez = _axis(start[2], end[2], wide * deep)
+    across, along = shape[1] * shape[2], shape[2]
+    place = (x - low[0]) * across + (y - low[1]) * along + z - low[2]
+    target = ((end[0] >> _STEP_BITS) - low[0]) * across
+    target += ((end[1] >> _STEP_BITS) - low[1]) * along + (end[2] >> _STEP_BITS) - low[2]
+    dx, dy = dx * across, dy * along
+    now = min(tx, ty, tz)
+    while now < last:
+        if tx == now:
+            place, tx = place + dx, tx + ex
+        if ty == now:
+            place, ty = place + dy, ty + ey
+        if tz == now:
+            place, tz = place + dz, tz + ez
+        if box[place]:
+            break
+        now = min(tx, ty, tz)
+    return place == target
