@@ -1,0 +1,302 @@
+"""Aligning two maps: propose, judge, decide, register, judge again.
+
+Poses are proposed from matched rooms (thesis §4.3) and by the global search over the storeys'
+rasters; what was seen free in one map and solid in the other decides between them; the winner is
+registered finely and must pass the same gates once more.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
+from topometric_ros.errors import ConfigurationError
+from topometric_ros.fusion.config import SOURCES, MergeConfig
+from topometric_ros.fusion.consensus import consensus
+from topometric_ros.fusion.overlap import same_rooms, shared_voxels
+from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
+from topometric_ros.fusion.registration import (
+    Registration,
+    RegistrationConfig,
+    RegistrationError,
+    register,
+)
+from topometric_ros.fusion.surface import Surface, surface_of
+from topometric_ros.fusion.verification import Decision, Judged, decide, missed_gate
+from topometric_ros.matching.candidate import Candidate
+from topometric_ros.matching.evidence import Evidence, evaluate, refine
+from topometric_ros.matching.propose import propose_from_rooms, room_distances
+from topometric_ros.matching.search import search_poses
+from topometric_ros.matching.search_fields import MapFields, ScoringConfig, prepare
+from topometric_ros.topometric_map import TopometricMap
+
+logger = logging.getLogger(__name__)
+
+ROUGH = RegistrationConfig(gates=("1.2", "0.6", "0.3"), points=1500, steps=8)
+"""Brings a pose read from rooms' centroids, a metre off at times, to where refining can start."""
+
+SAME_ROOM_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A map and what aligning makes of it, made once however many maps it is aligned with."""
+
+    map: TopometricMap
+    scoring: ScoringConfig
+
+    @cached_property
+    def fields(self) -> MapFields:
+        """The storeys' lookup tables."""
+        return prepare(self.map, self.scoring)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Points and normals, level frame."""
+        return surface_of(self.map)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Tree of the surface's points."""
+        return cKDTree(self.surface.points)
+
+
+class Stopwatch:
+    """CPU seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the CPU time of the block to a stage."""
+        start = time.process_time()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - start
+
+
+def align(
+    a: TopometricMap | Prepared,
+    b: TopometricMap | Prepared,
+    config: MergeConfig,
+    stopwatch: Stopwatch | None = None,
+) -> Alignment:
+    """Find the transform from the input frame of map b to that of map a, or say why there is none.
+
+    Parameters
+    ----------
+    a, b : maps of two agents, or what was prepared of them
+    config : MergeConfig
+    stopwatch : gathers the CPU seconds of the stages
+
+    Raises
+    ------
+    ConfigurationError
+        `sources` names none of rooms and search, or something else.
+    """
+    watch = stopwatch or Stopwatch()
+    a, b = (m if isinstance(m, Prepared) else Prepared(m, config.search.scoring) for m in (a, b))
+    if not config.sources or not set(config.sources) <= set(SOURCES):
+        raise ConfigurationError(
+            f"sources: expected some of {', '.join(SOURCES)}, got {config.sources}"
+        )
+    if not (len(a.map.voxels) and len(b.map.voxels)):
+        empty = a if len(a.map.voxels) == 0 else b
+        return _refused(a, b, AlignmentStatus.NONE, f"the map of {empty.map.agent!r} is empty")
+    candidates = _candidates(a, b, config, watch)
+    if not config.verify:
+        return _believed(a, b, candidates, config, watch)
+    with watch.stage("evidence"):
+        judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, _scoring(config))) for c in candidates]
+        decision = decide(judged, config.verification)
+    alternatives = _alternatives(a, b, decision)
+    if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
+        refused = _refused(a, b, decision.status, decision.reason)
+        score = judged[decision.best][1].value if decision.best is not None else 0.0
+        return replace(
+            refused, alternatives=alternatives, confidence=decision.confidence, score=score
+        )
+    return _registered(a, b, judged[decision.best], decision, config, watch)
+
+
+def _candidates(a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch) -> list[Candidate]:
+    """Return the candidates of all sources; those of rooms are refined where they get judged."""
+    candidates: list[Candidate] = []
+    if "rooms" in config.sources:
+        with watch.stage("matching"):
+            proposed = propose_from_rooms(a.map, b.map, config.matching)
+        if config.verify:
+            with watch.stage("refinement"):
+                proposed = [_sharpened(a, b, candidate, config) for candidate in proposed]
+        candidates += proposed
+    if "search" in config.sources:
+        with watch.stage("search"):
+            candidates += search_poses(a.fields, b.fields, config.search)
+    return candidates
+
+
+def _sharpened(a: Prepared, b: Prepared, candidate: Candidate, config: MergeConfig) -> Candidate:
+    """Return a candidate from rooms where it fits best nearby, by surface and then by raster."""
+    rooms = [match.room_b for match in candidate.matches]
+    part = b.surface.take(np.isin(b.map.room, rooms))
+    T = candidate.T_a_b
+    try:
+        T = register(part, a.surface, T, ROUGH, a.tree).T_target_source
+    except RegistrationError as error:
+        logger.debug("a candidate from rooms was not registered: %s", error)
+    return replace(candidate, T_a_b=refine(a.fields, b.fields, T, _scoring(config)))
+
+
+def _registered(
+    a: Prepared,
+    b: Prepared,
+    best: Judged,
+    decision: Decision,
+    config: MergeConfig,
+    watch: Stopwatch,
+) -> Alignment:
+    """Register an accepted candidate and judge it again where it ends."""
+    candidate, before = best
+    alternatives = _alternatives(a, b, decision)
+    try:
+        with watch.stage("registration"):
+            result = _registration(a, b, candidate, config)
+    except RegistrationError as error:
+        refused = _refused(a, b, AlignmentStatus.REJECTED, f"registration failed: {error}")
+        return replace(refused, alternatives=alternatives)
+    T = result.T_target_source
+    with watch.stage("evidence"):
+        evidence = evaluate(a.fields, b.fields, T, _scoring(config))
+    moved = apart(T, candidate.T_a_b, np.array([evidence.centre]))
+    objection = missed_gate(evidence, config.verification)
+    if objection is not None and missed_gate(before, config.verification) is not None:
+        objection = None  # accepted in spite of that gate, as maps of different days may be
+    if moved > config.largest_correction:
+        objection = (
+            f"registration moved the pose by {moved:.2f} m, at most "
+            f"{config.largest_correction:g} m are believed"
+        )
+    if objection is not None:
+        refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {objection}")
+        return replace(refused, alternatives=alternatives, score=evidence.value)
+    return _accepted(a, b, result, decision, alternatives[1:], evidence, config, watch)
+
+
+def _registration(
+    a: Prepared, b: Prepared, candidate: Candidate, config: MergeConfig
+) -> Registration:
+    """Register the surfaces of both maps, or of each matched room first."""
+    T = candidate.T_a_b
+    if config.refinement == "consensus" and candidate.matches:
+        agreed = consensus(
+            a.map, b.map, a.surface, b.surface, T, candidate.matches, config.consensus
+        )
+        # The last word on error and covariance is the whole surface's, without moving the pose.
+        still = replace(config.registration, steps=1, gates=config.registration.gates[:1])
+        measured = register(b.surface, a.surface, agreed.T_a_b, still, a.tree)
+        return replace(measured, T_target_source=agreed.T_a_b)
+    return register(b.surface, a.surface, T, config.registration, a.tree)
+
+
+def _believed(
+    a: Prepared,
+    b: Prepared,
+    candidates: list[Candidate],
+    config: MergeConfig,
+    watch: Stopwatch,
+) -> Alignment:
+    """Accept the best hypothesis of matched rooms without a check, as the draft does."""
+    if not candidates:
+        return _refused(a, b, AlignmentStatus.NONE, "no rooms could be matched")
+    best = candidates[0]
+    try:
+        with watch.stage("registration"):
+            result = _registration(a, b, best, config)
+    except RegistrationError as error:
+        return _refused(a, b, AlignmentStatus.NONE, f"registration failed: {error}")
+    evidence = evaluate(a.fields, b.fields, result.T_target_source, _scoring(config))
+    decision = Decision(
+        AlignmentStatus.ACCEPTED,
+        f"the hypothesis of {len(best.matches)} matched rooms is the largest; it was not verified",
+        0,
+        confidence=len(best.matches) / min(len(a.map.rooms), len(b.map.rooms)),
+    )
+    return _accepted(a, b, result, decision, (), evidence, config, watch)
+
+
+def _accepted(
+    a: Prepared,
+    b: Prepared,
+    result: Registration,
+    decision: Decision,
+    alternatives: tuple[Alternative, ...],
+    evidence: Evidence,
+    config: MergeConfig,
+    watch: Stopwatch,
+) -> Alignment:
+    """Return the alignment with its overlap and its matches, in the input frames."""
+    T = result.T_target_source
+    with watch.stage("overlap"):
+        rows_a, rows_b, overlap = shared_voxels(a.map, b.map, T)
+        pairs = same_rooms(a.map, b.map, rows_a, rows_b, SAME_ROOM_SHARE)
+    with watch.stage("matching"):
+        distances = room_distances(a.map, b.map, config.matching)
+    return Alignment(
+        agents=(a.map.agent, b.map.agent),
+        status=AlignmentStatus.ACCEPTED,
+        reason=decision.reason,
+        T_a_b=_to_input(a, b, T),
+        alternatives=alternatives,
+        confidence=decision.confidence,
+        overlap=overlap,
+        rmse=result.rmse,
+        matches=tuple(
+            RoomMatch(a.map.rooms[i].id, b.map.rooms[j].id, float(distances[i, j]))
+            for i, j in pairs
+        ),
+        covariance=_covariance_of_input(a, b, result),
+        score=evidence.value,
+    )
+
+
+def _refused(a: Prepared, b: Prepared, status: AlignmentStatus, reason: str) -> Alignment:
+    return Alignment((a.map.agent, b.map.agent), status, reason)
+
+
+def _alternatives(a: Prepared, b: Prepared, decision: Decision) -> tuple[Alternative, ...]:
+    """Return the poses that were considered, in the input frames, the best first."""
+    return tuple(Alternative(_to_input(a, b, x.T_a_b), x.score) for x in decision.alternatives)
+
+
+def _to_input(a: Prepared, b: Prepared, T_level: Transform) -> Transform:
+    return input_frames(T_level, a.map.T_level_input, b.map.T_level_input)
+
+
+def _covariance_of_input(
+    a: Prepared, b: Prepared, result: Registration
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Carry the covariance of the level frames' transform to the input frames'.
+
+    With T_input = L_a⁻¹ T L_b a small turn ω of T also moves L_b's origin, by ω × R t_b.
+    """
+    turn = inverse(a.map.T_level_input)[:3, :3]
+    x, y, z = result.T_target_source[:3, :3] @ b.map.T_level_input[:3, 3]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    carry = np.zeros((6, 6))
+    carry[:3, :3] = carry[3:, 3:] = turn
+    carry[:3, 3:] = -turn @ cross
+    return carry @ result.covariance @ carry.T
+
+
+def _scoring(config: MergeConfig) -> ScoringConfig:
+    return config.search.scoring

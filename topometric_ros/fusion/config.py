@@ -1,0 +1,72 @@
+"""Parameters of merging: every stage's configuration in one, and the two presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from topometric_ros.configuration import parameter
+from topometric_ros.errors import ConfigurationError
+from topometric_ros.fusion.consensus import ConsensusConfig
+from topometric_ros.fusion.fuse import FuseConfig
+from topometric_ros.fusion.groups import GroupsConfig
+from topometric_ros.fusion.registration import RegistrationConfig
+from topometric_ros.fusion.verification import VerificationConfig
+from topometric_ros.matching.config import MatchingConfig, matching_preset
+from topometric_ros.matching.search import SearchConfig
+
+SOURCES = ("rooms", "search")
+"""Where candidate poses may come from."""
+
+
+@dataclass(frozen=True)
+class MergeConfig:
+    """From topometric maps to one global map."""
+
+    sources: tuple[str, ...] = parameter(
+        SOURCES, "Where candidate poses come from: rooms (matched rooms), search (storey rasters)."
+    )
+    verify: bool = parameter(
+        True,
+        "Accept only what the geometry of both maps speaks for; without, the best hypothesis of "
+        "matched rooms is believed, as in the draft.",
+    )
+    refinement: str = parameter(
+        "surface",
+        "Fine registration: surface, of all that both maps share; consensus, of each matched room, "
+        "and the mean of those that agree (thesis §4.4).",
+        choices=("surface", "consensus"),
+    )
+    largest_correction: float = parameter(
+        0.5,
+        "Registration that moves a verified pose farther than this has slid off; it is rejected.",
+        unit="m",
+        minimum=0.0,
+    )
+    global_frame: str = parameter("global", "Name of the global map's frame.")
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    search: SearchConfig = field(default_factory=SearchConfig)
+    verification: VerificationConfig = field(default_factory=VerificationConfig)
+    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    consensus: ConsensusConfig = field(default_factory=ConsensusConfig)
+    groups: GroupsConfig = field(default_factory=GroupsConfig)
+    fuse: FuseConfig = field(default_factory=FuseConfig)
+
+
+def merge_preset(name: str) -> MergeConfig:
+    """Return the parameters of merging under a preset, `default` or `thesis`.
+
+    Raises
+    ------
+    ConfigurationError
+        Unknown preset.
+    """
+    if name == "default":
+        return MergeConfig()
+    if name == "thesis":
+        return MergeConfig(
+            sources=("rooms",),
+            verify=False,
+            refinement="consensus",
+            matching=matching_preset("thesis"),
+        )
+    raise ConfigurationError(f"unknown preset {name!r}; known: default, thesis")

@@ -1,0 +1,170 @@
+"""One global topometric map from the maps of a group of agents (thesis §4.4).
+
+Geometry first: every agent's surface goes into the anchor's voxels. Topology then follows from it:
+rooms that cover the same voxels become one room, their passages one passage (`fuse_rooms`), floors
+of one height one storey (`fuse_storeys`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.alignment import GlobalMap
+from topometric_ros.configuration import parameter
+from topometric_ros.fusion.fuse_rooms import Fragment, fused_passages, fused_rooms, room_ids
+from topometric_ros.fusion.fuse_storeys import fused_storeys
+from topometric_ros.fusion.poses import Transform, apply, level_frames
+from topometric_ros.topometric_map import NO_ROOM, TopometricMap
+from topometric_ros.voxels.grid import (
+    in_morton_order,
+    lattice_coordinates,
+    surface_offsets,
+    voxelise,
+)
+
+GLOBAL = "global"
+"""The agent that a global map names."""
+
+
+@dataclass(frozen=True)
+class FuseConfig:
+    """When rooms and passages of different maps are one."""
+
+    room_overlap: float = parameter(
+        0.5,
+        "Share of the smaller room's cells (two voxels wide) that makes two rooms one.",
+        minimum=0.05,
+        maximum=1.0,
+    )
+    passage_distance: float = parameter(
+        1.0, "Passages between the same rooms are one up to this distance.", unit="m", minimum=0.0
+    )
+    floor_distance: float = parameter(
+        0.5, "Floors are of one storey up to this difference.", unit="m", minimum=0.0, maximum=1.5
+    )
+
+
+def fuse(
+    maps: Sequence[TopometricMap],
+    T_global_agent: Sequence[Transform | None],
+    config: FuseConfig,
+    frame_id: str | None = None,
+) -> GlobalMap:
+    """Fuse the maps of the anchor's group.
+
+    Parameters
+    ----------
+    maps : the agents' maps in the result's order, the anchor first
+    T_global_agent : (4, 4) float64 each, from the agent's input frame to the anchor's, or None for
+        agents that are not placed there
+    config : FuseConfig
+    frame_id : name of the global frame; the anchor's where None
+
+    Returns
+    -------
+    GlobalMap on the anchor's lattice, at the largest voxel size among the maps: a map of the
+    anchor's level frame with the anchor's `T_level_input`. Its voxels are those that any agent's
+    surface points lie in, their offsets the mean of these points.
+    """
+    anchor = maps[0]
+    placed = [
+        (index, m, level_frames(T, anchor.T_level_input, m.T_level_input))
+        for index, (m, T) in enumerate(zip(maps, T_global_agent, strict=True))
+        if T is not None
+    ]
+    size = max(m.voxel_size for _, m, _ in placed)
+    origin = np.asarray(anchor.origin, dtype=np.float64)
+    clouds = [apply(T, m.surface()) for _, m, T in placed]
+    if sum(map(len, clouds)) == 0:
+        return GlobalMap(_empty(anchor, frame_id), np.zeros(0, dtype=np.uint32))
+    points = np.concatenate(clouds)
+    grid, row_of_point = voxelise(points, size, origin)
+    rows = np.split(row_of_point, np.cumsum([len(c) for c in clouds])[:-1])
+    agents = np.zeros(len(grid), dtype=np.uint32)
+    for (index, _, _), own in zip(placed, rows, strict=True):
+        agents[own] |= np.uint32(1 << index)
+    storeys, storey_of = fused_storeys([(m, T) for _, m, T in placed], config.floor_distance)
+    fragments = [
+        Fragment(index, m, T, own, storey_of[position])
+        for position, ((index, m, T), own) in enumerate(zip(placed, rows, strict=True))
+    ]
+    new_id = room_ids(fragments, grid.coords, config.room_overlap)
+    room = _labels(fragments, new_id, len(grid))
+    passages = fused_passages(fragments, new_id, set(room.tolist()), config.passage_distance)
+    fused = TopometricMap(
+        agent=GLOBAL,
+        session=anchor.session,
+        sequence=anchor.sequence,
+        frame_id=anchor.frame_id if frame_id is None else frame_id,
+        stamp=max(m.stamp for _, m, _ in placed),
+        voxel_size=size,
+        origin=anchor.origin,
+        voxels=grid.coords,
+        offsets=surface_offsets(points, grid, row_of_point),
+        room=room,
+        navigable=_navigable(placed, size, origin),
+        viewpoints=_viewpoints(placed),
+        rooms=fused_rooms(fragments, new_id, room, grid, passages),
+        passages=passages,
+        storeys=storeys,
+        T_level_input=anchor.T_level_input,
+    )
+    return GlobalMap(fused, agents)
+
+
+def _labels(
+    fragments: Sequence[Fragment], new_id: dict[tuple[int, int], int], voxels: int
+) -> NDArray[np.int32]:
+    """Return the room of every fused voxel; where agents differ, the first agent's."""
+    room = np.full(voxels, NO_ROOM, dtype=np.int32)
+    for fragment in reversed(fragments):
+        for old in fragment.map.rooms:
+            own = fragment.rows[fragment.map.room == old.id]
+            room[own] = new_id[fragment.agent, old.id]
+    return room
+
+
+def _navigable(
+    placed: Sequence[tuple[int, TopometricMap, Transform]],
+    size: float,
+    origin: NDArray[np.float64],
+) -> NDArray[np.int32]:
+    """Return the cells of the global lattice that any agent could stand on: (M, 3) int32."""
+    coords = [
+        lattice_coordinates(
+            apply(T, np.asarray(m.origin) + m.navigable * m.voxel_size), size, origin
+        )
+        for _, m, T in placed
+    ]
+    return in_morton_order(np.concatenate(coords))
+
+
+def _viewpoints(
+    placed: Sequence[tuple[int, TopometricMap, Transform]],
+) -> NDArray[np.float32]:
+    """Return all agents' viewpoints in the global level frame: (K, 3) float32, m."""
+    parts = [apply(T, m.viewpoints.astype(np.float64)) for _, m, T in placed]
+    return np.concatenate(parts).astype(np.float32)
+
+
+def _empty(anchor: TopometricMap, frame_id: str | None) -> TopometricMap:
+    """Return a global map of nothing, for agents that have seen nothing yet."""
+    return TopometricMap(
+        agent=GLOBAL,
+        session=anchor.session,
+        sequence=anchor.sequence,
+        frame_id=anchor.frame_id if frame_id is None else frame_id,
+        stamp=anchor.stamp,
+        voxel_size=anchor.voxel_size,
+        origin=anchor.origin,
+        voxels=np.zeros((0, 3), dtype=np.int32),
+        offsets=np.zeros((0, 3), dtype=np.int8),
+        room=np.zeros(0, dtype=np.int32),
+        navigable=np.zeros((0, 3), dtype=np.int32),
+        viewpoints=np.zeros((0, 3), dtype=np.float32),
+        T_level_input=anchor.T_level_input,
+    )

@@ -1,0 +1,207 @@
+"""Merging the maps of any number of agents: all pairs aligned, groups formed, one map fused."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from topometric_ros.alignment import (
+    AgentPlacement,
+    AgentStatus,
+    Alignment,
+    AlignmentStatus,
+    Alternative,
+    MergeResult,
+    RoomMatch,
+)
+from topometric_ros.errors import TopometricError
+from topometric_ros.fusion.align import Prepared, Stopwatch, align
+from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.fusion.fuse import fuse
+from topometric_ros.fusion.groups import Groups, group_agents
+from topometric_ros.fusion.poses import apply, inverse
+from topometric_ros.topometric_map import TopometricMap
+
+MOST_AGENTS = 32
+"""A voxel remembers who saw it in a mask of 32 bits."""
+
+Pair = tuple[str, str]
+
+
+class MergeError(TopometricError):
+    """Maps that cannot be merged together, whatever they show."""
+
+
+def merge(
+    maps: Sequence[TopometricMap],
+    config: MergeConfig,
+    *,
+    sources: Mapping[str, str] | None = None,
+    known: Mapping[Pair, Alignment] | None = None,
+    fixed: Mapping[Pair, Alignment] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> MergeResult:
+    """Merge agents' maps into one global map in the frame of the first.
+
+    Parameters
+    ----------
+    maps : one map an agent; the first is the anchor, its input frame the global frame
+    config : MergeConfig
+    sources : where each agent's map came from, for the record; the agent's id where missing
+    known : alignments from an earlier run that still hold, by pair in either order; not redone
+    fixed : alignments set by hand, by pair in either order: taken as they are, never withdrawn
+    progress : told in words what is being done
+
+    Raises
+    ------
+    MergeError
+        No map, more than 32, or two of one agent.
+    """
+    _check(maps)
+    watch = Stopwatch()
+    prepared = [Prepared(m, config.search.scoring) for m in maps]
+    given = {**(known or {}), **(fixed or {})}
+    alignments = []
+    for a, b in itertools.combinations(prepared, 2):
+        alignment = _given(given, (a.map.agent, b.map.agent))
+        if alignment is None:
+            if progress is not None:
+                progress(f"aligning {a.map.agent} and {b.map.agent}")
+            alignment = align(a, b, config, watch)
+        alignments.append(alignment)
+    agents = [m.agent for m in maps]
+    by_hand = frozenset(pair for x, y in (fixed or {}) for pair in ((x, y), (y, x)))
+    groups = group_agents(agents, alignments, config.groups, by_hand, _centres(maps))
+    places = _placements(maps, groups, sources or {})
+    with watch.stage("fusion"):
+        if progress is not None:
+            progress("fusing the aligned maps")
+        transforms = [place.T_global_agent for place in places]
+        global_map = fuse(maps, transforms, config.fuse, config.global_frame)
+    return MergeResult(
+        global_frame=config.global_frame,
+        agents=places,
+        alignments=groups.alignments,
+        global_map=global_map,
+        warnings=_warnings(maps),
+        timings=watch.seconds,
+    )
+
+
+def reversed_alignment(alignment: Alignment) -> Alignment:
+    """Return the alignment of the same two agents in the other order.
+
+    The covariance turns with the transform: it is of the inverse's translation and turns.
+    """
+    T = alignment.T_a_b
+    return dataclasses.replace(
+        alignment,
+        agents=(alignment.agents[1], alignment.agents[0]),
+        T_a_b=None if T is None else inverse(T),
+        alternatives=tuple(Alternative(inverse(x.T_a_b), x.score) for x in alignment.alternatives),
+        matches=tuple(RoomMatch(m.room_b, m.room_a, m.distance) for m in alignment.matches),
+        covariance=None if T is None else _reversed_covariance(alignment),
+    )
+
+
+def _reversed_covariance(
+    alignment: Alignment,
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
+    """Return the covariance of the inverse transform: t' = -Rᵀ t moves by -Rᵀ (δt + t × ω)."""
+    if alignment.T_a_b is None or alignment.covariance is None:
+        return None
+    R, (x, y, z) = alignment.T_a_b[:3, :3], alignment.T_a_b[:3, 3]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    carry = np.zeros((6, 6))
+    carry[:3, :3] = carry[3:, 3:] = -R.T
+    carry[:3, 3:] = -R.T @ cross
+    return carry @ alignment.covariance @ carry.T
+
+
+def _check(maps: Sequence[TopometricMap]) -> None:
+    """Refuse what no merge can be made of."""
+    if not maps:
+        raise MergeError("no maps to merge")
+    if len(maps) > MOST_AGENTS:
+        raise MergeError(f"{len(maps)} agents; at most {MOST_AGENTS} can be merged")
+    agents = [m.agent for m in maps]
+    twice = sorted({agent for agent in agents if agents.count(agent) > 1})
+    if twice:
+        raise MergeError(f"agent {twice[0]!r} appears {agents.count(twice[0])} times")
+
+
+def _given(given: Mapping[Pair, Alignment], pair: Pair) -> Alignment | None:
+    """Return a known alignment of a pair, turned round where it is of the other order."""
+    for key in (pair, (pair[1], pair[0])):
+        if key in given:
+            alignment = given[key]
+            return alignment if alignment.agents == pair else reversed_alignment(alignment)
+    return None
+
+
+def _centres(
+    maps: Sequence[TopometricMap],
+) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
+    """Return the middle of each agent's map in its input frame: (3,), m."""
+    return {
+        m.agent: apply(inverse(m.T_level_input), m.centres().mean(axis=0)[None])[0]
+        for m in maps
+        if len(m.voxels)
+    }
+
+
+def _placements(
+    maps: Sequence[TopometricMap], groups: Groups, sources: Mapping[str, str]
+) -> tuple[AgentPlacement, ...]:
+    """Say of every agent where it stands and why."""
+    places = []
+    for index, m in enumerate(maps):
+        number = groups.group[index]
+        status = AgentStatus.UNALIGNED
+        if index == 0:
+            status = AgentStatus.ANCHOR
+        elif number == 0:
+            status = AgentStatus.ALIGNED
+        T = groups.T_group_agent[index]
+        places.append(
+            AgentPlacement(
+                id=m.agent,
+                source=sources.get(m.agent, m.agent),
+                status=status,
+                reason=_reason(m.agent, status, maps[0].agent, groups.alignments),
+                group=number,
+                T_group_agent=T,
+                T_global_agent=T if number == 0 else None,
+            )
+        )
+    return tuple(places)
+
+
+def _reason(agent: str, status: AgentStatus, anchor: str, alignments: Sequence[Alignment]) -> str:
+    """Return in words why an agent is where it is."""
+    if status is AgentStatus.ANCHOR:
+        return "its frame is the global frame"
+    own = [x for x in alignments if agent in x.agents]
+    others = sorted(({*x.agents} - {agent}).pop() for x in own if x.accepted)
+    if status is AgentStatus.ALIGNED:
+        return f"aligned with {', '.join(others)}"
+    if others:
+        return f"aligned with {', '.join(others)}, but none of them with {anchor}"
+    order = list(AlignmentStatus)
+    nearest = min(own, key=lambda x: (order.index(x.status), -x.score))
+    other = ({*nearest.agents} - {agent}).pop()
+    return f"with {other} {nearest.status.value}: {nearest.reason}"
+
+
+def _warnings(maps: Sequence[TopometricMap]) -> tuple[str, ...]:
+    """Say what a reader of the result should know."""
+    sizes = {m.voxel_size for m in maps}
+    warnings = []
+    if len(sizes) > 1:
+        named = ", ".join(f"{m.agent} {m.voxel_size:g} m" for m in maps)
+        warnings.append(f"voxel sizes differ ({named}); the global map has the coarsest")
+    warnings += [f"the map of {m.agent} has no rooms" for m in maps if not m.rooms]
+    return tuple(warnings)

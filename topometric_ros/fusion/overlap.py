@@ -1,0 +1,78 @@
+"""What two aligned maps share: the part of the smaller one, and the rooms that are the same."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+
+from topometric_ros.fusion.poses import Transform, apply, inverse
+from topometric_ros.topometric_map import TopometricMap
+
+
+def shared_voxels(
+    a: TopometricMap, b: TopometricMap, T_a_b: Transform
+) -> tuple[NDArray[np.int64], NDArray[np.int64], float]:
+    """Pair the voxels of two maps that hold the same surface.
+
+    The smaller map's voxels look for the nearest of the other, up to the coarser voxel's edge.
+
+    Parameters
+    ----------
+    T_a_b : (4, 4) float64, between the level frames
+
+    Returns
+    -------
+    rows_a, rows_b : (n,) int64, rows of the maps' voxels that lie on each other
+    overlap : share of the smaller map's voxels among these, 0..1
+    """
+    smaller, larger, T = (a, b, inverse(T_a_b)) if len(a.voxels) < len(b.voxels) else (b, a, T_a_b)
+    none = np.zeros(0, dtype=np.int64)
+    if len(smaller.voxels) == 0:
+        return none, none, 0.0
+    reach = max(a.voxel_size, b.voxel_size)
+    moved = apply(T, smaller.surface())
+    # Only what lies within the other's bounds can have a neighbour there.
+    target = larger.surface()
+    inside = np.all(
+        (moved >= target.min(axis=0) - reach) & (moved <= target.max(axis=0) + reach), axis=1
+    )
+    rows = np.flatnonzero(inside)
+    if len(rows) == 0:
+        return none, none, 0.0
+    distance, nearest = cKDTree(target).query(moved[rows], distance_upper_bound=reach)
+    found = np.isfinite(distance)
+    rows, nearest = rows[found], nearest[found].astype(np.int64)
+    overlap = len(rows) / len(smaller.voxels)
+    return (rows, nearest, overlap) if smaller is a else (nearest, rows, overlap)
+
+
+def same_rooms(
+    a: TopometricMap,
+    b: TopometricMap,
+    rows_a: NDArray[np.int64],
+    rows_b: NDArray[np.int64],
+    least_share: float,
+) -> list[tuple[int, int]]:
+    """Return the pairs of rows of rooms that are the same place, one to one.
+
+    Rooms are assigned by the voxels they share; a pair counts where these are at least
+    `least_share` of the smaller room's part that the other map has seen at all.
+    """
+    if not (a.rooms and b.rooms):
+        return []
+    row_of_a = {room.id: row for row, room in enumerate(a.rooms)}
+    row_of_b = {room.id: row for row, room in enumerate(b.rooms)}
+    shared = np.zeros((len(a.rooms), len(b.rooms)))
+    labels = np.stack([a.room[rows_a], b.room[rows_b]], axis=1)
+    labels = labels[(labels >= 0).all(axis=1)]
+    for (room_a, room_b), count in zip(*np.unique(labels, axis=0, return_counts=True), strict=True):
+        shared[row_of_a[int(room_a)], row_of_b[int(room_b)]] = count
+    seen_a, seen_b = shared.sum(axis=1), shared.sum(axis=0)
+    pairs = zip(*linear_sum_assignment(-shared), strict=True)
+    return [
+        (int(i), int(j))
+        for i, j in pairs
+        if shared[i, j] > 0 and shared[i, j] >= least_share * min(seen_a[i], seen_b[j])
+    ]
