@@ -13,7 +13,7 @@ export PYTHON VENV
 # A stamp says that a step of the set-up was done for these inputs; a second run takes seconds.
 stamps := $(VENV)/stamps
 interface_files = $(wildcard $(1)/*.* $(1)/msg/*.msg $(1)/srv/*.srv) \
-  scripts/install_interfaces.sh scripts/wheel_targets.cmake
+  wheels/build-tools.txt scripts/install_interfaces.sh scripts/wheel_targets.cmake
 
 .PHONY: help setup demo test check run-bag bench clean distclean
 .DELETE_ON_ERROR:
@@ -35,11 +35,11 @@ $(stamps)/wheels: setup.py pyproject.toml wheels/build-tools.txt scripts/create_
 	@scripts/create_venv.sh $(VENV)
 	@mkdir -p $(@D) && touch $@
 
-$(stamps)/topometric_msgs: $(stamps)/wheels $(call interface_files,msg_schemas/topometric_msgs)
+$(stamps)/topometric_msgs: $(call interface_files,msg_schemas/topometric_msgs) | $(stamps)/wheels
 	@scripts/install_interfaces.sh $(VENV) msg_schemas/topometric_msgs
 	@touch $@
 
-$(stamps)/tf2_msgs: $(stamps)/wheels $(call interface_files,wheels/tf2_msgs)
+$(stamps)/tf2_msgs: $(call interface_files,wheels/tf2_msgs) | $(stamps)/wheels
 	@scripts/install_interfaces.sh $(VENV) wheels/tf2_msgs
 	@touch $@
 
