@@ -8,14 +8,9 @@ registered finely and must pass the same gates once more.
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
 from topometric_ros.errors import ConfigurationError
@@ -23,19 +18,19 @@ from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.consensus import consensus
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
+from topometric_ros.fusion.prepared import Prepared, Stopwatch
 from topometric_ros.fusion.registration import (
     Registration,
     RegistrationConfig,
     RegistrationError,
     register,
 )
-from topometric_ros.fusion.surface import Surface, surface_of
 from topometric_ros.fusion.verification import Decision, Judged, decide, missed_gate
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate, refine
 from topometric_ros.matching.propose import propose_from_rooms, room_distances
 from topometric_ros.matching.search import search_poses
-from topometric_ros.matching.search_fields import MapFields, ScoringConfig, prepare
+from topometric_ros.matching.search_fields import ScoringConfig
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
@@ -43,46 +38,11 @@ logger = logging.getLogger(__name__)
 ROUGH = RegistrationConfig(gates=("1.2", "0.6", "0.3"), points=1500, steps=8)
 """Brings a pose read from rooms' centroids, a metre off at times, to where refining can start."""
 
+SAME_POSE = 0.2
+"""Mean displacement of b's rooms, m, below which two roughly registered poses are one."""
+
 SAME_ROOM_SHARE = 0.5
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """A map and what aligning makes of it, made once however many maps it is aligned with."""
-
-    map: TopometricMap
-    scoring: ScoringConfig
-
-    @cached_property
-    def fields(self) -> MapFields:
-        """The storeys' lookup tables."""
-        return prepare(self.map, self.scoring)
-
-    @cached_property
-    def surface(self) -> Surface:
-        """Points and normals, level frame."""
-        return surface_of(self.map)
-
-    @cached_property
-    def tree(self) -> cKDTree:
-        """Tree of the surface's points."""
-        return cKDTree(self.surface.points)
-
-
-class Stopwatch:
-    """CPU seconds by stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the CPU time of the block to a stage."""
-        start = time.process_time()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - start
+"""Share of what both maps saw of the smaller of two rooms that makes them the same place."""
 
 
 def align(
@@ -105,7 +65,10 @@ def align(
         `sources` names none of rooms and search, or something else.
     """
     watch = stopwatch or Stopwatch()
-    a, b = (m if isinstance(m, Prepared) else Prepared(m, config.search.scoring) for m in (a, b))
+    a, b = (
+        m if isinstance(m, Prepared) else Prepared(m, config.search.scoring, config.matching)
+        for m in (a, b)
+    )
     if not config.sources or not set(config.sources) <= set(SOURCES):
         raise ConfigurationError(
             f"sources: expected some of {', '.join(SOURCES)}, got {config.sources}"
@@ -134,10 +97,10 @@ def _candidates(a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch)
     candidates: list[Candidate] = []
     if "rooms" in config.sources:
         with watch.stage("matching"):
-            proposed = propose_from_rooms(a.map, b.map, config.matching)
+            proposed = propose_from_rooms(a.described, b.described, config.matching)
         if config.verify:
             with watch.stage("refinement"):
-                proposed = [_sharpened(a, b, candidate, config) for candidate in proposed]
+                proposed = _refined(a, b, proposed, config)
         candidates += proposed
     if "search" in config.sources:
         with watch.stage("search"):
@@ -145,16 +108,35 @@ def _candidates(a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch)
     return candidates
 
 
-def _sharpened(a: Prepared, b: Prepared, candidate: Candidate, config: MergeConfig) -> Candidate:
-    """Return a candidate from rooms where it fits best nearby, by surface and then by raster."""
+def _refined(
+    a: Prepared, b: Prepared, candidates: list[Candidate], config: MergeConfig
+) -> list[Candidate]:
+    """Return candidates from rooms where they fit best nearby, by surface and then by raster.
+
+    Many hypotheses end at one pose; only the first of those, which has most matches, goes on.
+    """
+    centroids = np.array([room.centroid for room in b.map.rooms])
+    ended: list[Transform] = []
+    refined = []
+    for candidate in candidates:
+        T = _rough(a, b, candidate)
+        if any(apart(T, other, centroids) < SAME_POSE for other in ended):
+            continue
+        ended.append(T)
+        T = refine(a.fields, b.fields, T, _scoring(config))
+        refined.append(replace(candidate, T_a_b=T))
+    return refined
+
+
+def _rough(a: Prepared, b: Prepared, candidate: Candidate) -> Transform:
+    """Register the matched rooms of b on all of a, which brings the pose to about a voxel."""
     rooms = [match.room_b for match in candidate.matches]
     part = b.surface.take(np.isin(b.map.room, rooms))
-    T = candidate.T_a_b
     try:
-        T = register(part, a.surface, T, ROUGH, a.tree).T_target_source
+        return register(part, a.surface, candidate.T_a_b, ROUGH, a.tree).T_target_source
     except RegistrationError as error:
         logger.debug("a candidate from rooms was not registered: %s", error)
-    return replace(candidate, T_a_b=refine(a.fields, b.fields, T, _scoring(config)))
+        return candidate.T_a_b
 
 
 def _registered(
@@ -250,7 +232,7 @@ def _accepted(
         rows_a, rows_b, overlap = shared_voxels(a.map, b.map, T)
         pairs = same_rooms(a.map, b.map, rows_a, rows_b, SAME_ROOM_SHARE)
     with watch.stage("matching"):
-        distances = room_distances(a.map, b.map, config.matching)
+        distances = room_distances(a.described, b.described, config.matching)
     return Alignment(
         agents=(a.map.agent, b.map.agent),
         status=AlignmentStatus.ACCEPTED,

@@ -18,11 +18,12 @@ from topometric_ros.alignment import (
     RoomMatch,
 )
 from topometric_ros.errors import TopometricError
-from topometric_ros.fusion.align import Prepared, Stopwatch, align
+from topometric_ros.fusion.align import align
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fuse import fuse
 from topometric_ros.fusion.groups import Groups, group_agents
 from topometric_ros.fusion.poses import apply, inverse
+from topometric_ros.fusion.prepared import Prepared, Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 MOST_AGENTS = 32
@@ -62,7 +63,7 @@ def merge(
     """
     _check(maps)
     watch = Stopwatch()
-    prepared = [Prepared(m, config.search.scoring) for m in maps]
+    prepared = [Prepared(m, config.search.scoring, config.matching) for m in maps]
     given = {**(known or {}), **(fixed or {})}
     alignments = []
     for a, b in itertools.combinations(prepared, 2):

@@ -18,6 +18,9 @@ from topometric_ros.errors import ConfigurationError, TopometricError
 from topometric_ros.fusion.poses import Transform, apply, yaw_pose
 from topometric_ros.fusion.surface import Surface
 
+_DRAWN_FIRST = 10
+"""So many times the points that are used are looked at for lying near the target."""
+
 
 class RegistrationError(TopometricError):
     """Two surfaces that share too little to be registered."""
@@ -137,6 +140,10 @@ def _shared_part(
     source: Surface, tree: cKDTree, T: Transform, gate: float, config: RegistrationConfig
 ) -> Surface:
     """Return at most `points` of the source's points that start near the target."""
+    generator = np.random.default_rng(config.seed)
+    if len(source) > _DRAWN_FIRST * config.points:
+        drawn = generator.choice(len(source), _DRAWN_FIRST * config.points, replace=False)
+        source = source.take(np.sort(drawn))
     reach, _ = tree.query(apply(T, source.points), distance_upper_bound=gate + source.spacing)
     near = np.flatnonzero(np.isfinite(reach))
     if len(near) < config.smallest_pairs:
@@ -145,7 +152,6 @@ def _shared_part(
             f"at least {config.smallest_pairs} are needed"
         )
     if len(near) > config.points:
-        generator = np.random.default_rng(config.seed)
         near = np.sort(generator.choice(near, config.points, replace=False))
     return source.take(near)
 

@@ -38,7 +38,7 @@ class DescriptorConfig:
         32, "Number of non-zero eigenvalues that are kept.", minimum=1, maximum=64
     )
     spectral_cell: float = parameter(
-        0.2, "Edge of the cells of that graph, at least a voxel.", unit="m", minimum=0.02
+        0.3, "Edge of the cells of that graph, at least a voxel.", unit="m", minimum=0.02
     )
     spectral_nodes: int = parameter(
         5000, "Cells are doubled until a room has no more of them than this.", minimum=100

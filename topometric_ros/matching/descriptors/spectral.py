@@ -37,7 +37,7 @@ class SpectralDescriptor:
     eigenvalues: int = 32
     matrix: str = "laplacian"
     neighbourhood: str = "moore"
-    cell: float = 0.2
+    cell: float = 0.3
     nodes: int = 5000
     version: int = 1
 
