@@ -14,6 +14,9 @@ from scipy import ndimage
 
 from topometric_ros.topometric_map import StoreyLayers, TopometricMap
 
+NOTHING, FREE, OWN, AGREES, CONFLICTS = range(5)
+"""What a cell of a judged storey shows: nothing seen, floor, or a wall and the other's view."""
+
 AGREE_CELLS = 1.5
 """A wall agrees where the other map's nearest wall is at most this many cells away."""
 CONFLICT_CELLS = 2.0
@@ -23,92 +26,75 @@ SAME_FLOOR = 0.35
 
 
 @dataclass(frozen=True)
+class JudgedStorey:
+    """One map's storey, each cell judged by the other map: `verdict` (nx, ny) uint8."""
+
+    layers: StoreyLayers
+    verdict: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
 class StoreyAgreement:
-    """The wall cells of one storey of both maps: each (n, 2) float64, m, level frame of map a."""
+    """One storey of both maps; None where a map lacks it. `floor_z` in m, level frame of a."""
 
     floor_z: float
-    only_a: NDArray[np.float64]
-    only_b: NDArray[np.float64]
-    both: NDArray[np.float64]
-    conflict: NDArray[np.float64]
-    free_a: NDArray[np.float64]
-    free_b: NDArray[np.float64]
-    cell: float
+    a: JudgedStorey | None
+    b: JudgedStorey | None
+
+
+def level_transform(
+    a: TopometricMap, b: TopometricMap, T_a_b: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return `T_a_b`, given between the input frames, between the level frames: (4, 4) m."""
+    T: NDArray[np.float64] = a.T_level_input @ T_a_b @ np.linalg.inv(b.T_level_input)
+    return T
 
 
 def compare(
     a: TopometricMap, b: TopometricMap, T_a_b: NDArray[np.float64]
 ) -> list[StoreyAgreement]:
-    """Lay map b over map a and sort their wall cells, lowest storey first.
+    """Lay map b over map a and judge the wall cells of both, lowest storey first.
 
     Parameters
     ----------
     T_a_b : (4, 4) float64, m, from the input frame of b to that of a
     """
-    T_level = a.T_level_input @ T_a_b @ np.linalg.inv(b.T_level_input)
+    T_level = level_transform(a, b, T_a_b)
+    rise = float(T_level[2, 3])
     pairs: list[tuple[float, StoreyLayers | None, StoreyLayers | None]] = []
     unpaired = list(b.storeys)
     for storey in sorted(a.storeys, key=lambda s: s.floor_z):
-        same = [s for s in unpaired if abs(s.floor_z + T_level[2, 3] - storey.floor_z) < SAME_FLOOR]
-        unpaired = [s for s in unpaired if s not in same]
+        same = [s for s in unpaired if abs(s.floor_z + rise - storey.floor_z) < SAME_FLOOR]
+        unpaired = [s for s in unpaired if s not in same[:1]]
         pairs.append((storey.floor_z, storey.layers, same[0].layers if same else None))
-    pairs += [(s.floor_z + float(T_level[2, 3]), None, s.layers) for s in unpaired]
-    pairs.sort(key=lambda pair: pair[0])
-    return [_compare_storey(z, la, lb, T_level) for z, la, lb in pairs]
+    pairs += [(s.floor_z + rise, None, s.layers) for s in unpaired]
+    T_b_a = np.asarray(np.linalg.inv(T_level), dtype=np.float64)
+    return [
+        StoreyAgreement(floor_z, _judged(own, other, T_b_a), _judged(other, own, T_level))
+        for floor_z, own, other in sorted(pairs, key=lambda pair: pair[0])
+    ]
 
 
-def _compare_storey(
-    floor_z: float,
-    a: StoreyLayers | None,
-    b: StoreyLayers | None,
-    T_a_b: NDArray[np.float64],
-) -> StoreyAgreement:
-    """Sort the wall cells of one storey; either map may lack it."""
-    T_b_a: NDArray[np.float64] = np.asarray(np.linalg.inv(T_a_b), dtype=np.float64)
-    none = np.empty((0, 2))
-    walls_a, free_a = (_places(a, a.wall), _places(a, a.free)) if a else (none, none)
-    walls_b, free_b = (_places(b, b.wall), _places(b, b.free)) if b else (none, none)
-    agree_a, conflict_a = _judge(_moved(walls_a, T_b_a), b)
-    walls_b, free_b = _moved(walls_b, T_a_b), _moved(free_b, T_a_b)
-    agree_b, conflict_b = _judge(walls_b, a)
-    layers = a or b
-    return StoreyAgreement(
-        floor_z=floor_z,
-        only_a=walls_a[~agree_a & ~conflict_a],
-        only_b=walls_b[~agree_b & ~conflict_b],
-        both=np.concatenate([walls_a[agree_a], walls_b[agree_b]]),
-        conflict=np.concatenate([walls_a[conflict_a], walls_b[conflict_b]]),
-        free_a=free_a,
-        free_b=free_b,
-        cell=layers.cell if layers else 0.1,
-    )
-
-
-def _places(layers: StoreyLayers, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the centres of a mask's cells: (n, 2) float64, m."""
-    return np.argwhere(mask) * layers.cell + np.asarray(layers.origin)
-
-
-def _moved(places: NDArray[np.float64], T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Move places in the plane: (n, 2) float64, m."""
-    return places @ T[:2, :2].T + T[:2, 3]
-
-
-def _judge(
-    places: NDArray[np.float64], other: StoreyLayers | None
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which wall cells agree with the other map and which contradict it: (n,) bool each."""
-    if other is None or not len(places):
-        return np.zeros(len(places), bool), np.zeros(len(places), bool)
+def _judged(
+    own: StoreyLayers | None, other: StoreyLayers | None, T_other_own: NDArray[np.float64]
+) -> JudgedStorey | None:
+    """Judge each wall cell of `own` by what `other` shows at its place."""
+    if own is None:
+        return None
+    verdict = np.where(own.free, FREE, NOTHING).astype(np.uint8)
+    verdict[own.wall] = OWN
+    if other is None or not own.wall.any():
+        return JudgedStorey(own, verdict)
+    cells = np.argwhere(own.wall)
+    places = (cells * own.cell + np.asarray(own.origin)) @ T_other_own[:2, :2].T
+    theirs = np.round((places + T_other_own[:2, 3] - np.asarray(other.origin)) / other.cell)
+    inside = ((theirs >= 0) & (theirs < other.wall.shape)).all(axis=1)
+    cells, there = cells[inside], tuple(theirs[inside].astype(np.int64).T)
     if other.wall.any():
-        to_wall = ndimage.distance_transform_edt(~other.wall)
+        near = ndimage.distance_transform_edt(~other.wall)[there] <= AGREE_CELLS
     else:
-        to_wall = np.full(other.wall.shape, np.inf)
-    depth = ndimage.distance_transform_edt(other.free)
-    cells = np.round((places - np.asarray(other.origin)) / other.cell).astype(np.int64)
-    inside = ((cells >= 0) & (cells < other.wall.shape)).all(axis=1)
-    agree, conflict = np.zeros(len(places), bool), np.zeros(len(places), bool)
-    i, j = cells[inside].T
-    agree[inside] = to_wall[i, j] <= AGREE_CELLS
-    conflict[inside] = (depth[i, j] >= CONFLICT_CELLS) & ~agree[inside]
-    return agree, conflict
+        near = np.zeros(len(cells), dtype=bool)
+    deep = ndimage.distance_transform_edt(other.free)[there] >= CONFLICT_CELLS
+    verdict[tuple(cells[deep & ~near].T)] = CONFLICTS
+    verdict[tuple(cells[near].T)] = AGREES
+    return JudgedStorey(own, verdict)

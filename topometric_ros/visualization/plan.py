@@ -72,21 +72,21 @@ def storey_plans(topometric_map: TopometricMap) -> list[Plan]:
 def main_direction(topometric_map: TopometricMap) -> float:
     """Return the angle that most walls run along: rad in [0, pi/2), level frame.
 
-    The walls are projected onto both axes of every whole degree; where they are parallel to the
+    The walls are projected onto both axes of every half degree; where they are parallel to the
     axes they pile up, which the sum of squared counts tells.
     """
     cells = [
         np.argwhere(s.layers.wall) * s.layers.cell + s.layers.origin for s in topometric_map.storeys
     ]
     walls = np.concatenate([np.empty((0, 2)), *cells])
+    angles = np.radians(np.arange(0.0, 90.0, 0.5))
     scores = []
-    for degrees in range(90):
-        angle = np.radians(degrees)
+    for angle in angles:
         axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        bins = np.floor(walls @ axes / 0.2).astype(np.int64)
+        bins = np.floor(walls @ axes / 0.1).astype(np.int64)
         counts = [np.unique(bins[:, k], return_counts=True)[1] for k in (0, 1)]
         scores.append(sum(int((c.astype(np.int64) ** 2).sum()) for c in counts))
-    return float(np.radians(np.argmax(scores)))
+    return float(angles[np.argmax(scores)])
 
 
 def _rows_of_storey(topometric_map: TopometricMap, storey: Storey) -> NDArray[np.bool_]:
@@ -127,7 +127,9 @@ def _fill_cracks(raster: NDArray[np.int32]) -> NDArray[np.int32]:
 def _label_position(
     mask: NDArray[np.bool_], origin: NDArray[np.float64], cell: float
 ) -> tuple[float, float]:
-    """Return the middle of the largest disk inside a room: (x, y) m."""
+    """Return where a room is widest, nearest to its middle where that is so in many places."""
     depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    i, j = np.unravel_index(int(np.argmax(depth)), mask.shape)
+    wide = np.argwhere(depth >= 0.9 * depth.max())
+    middle = np.argwhere(mask).mean(axis=0)
+    i, j = wide[int(np.argmin(((wide - middle) ** 2).sum(axis=1)))]
     return float(origin[0] + i * cell), float(origin[1] + j * cell)

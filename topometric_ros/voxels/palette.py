@@ -50,7 +50,9 @@ def room_colours(rooms: ArrayLike) -> NDArray[np.uint8]:
     """
     ids = np.asarray(rooms, dtype=np.int64).reshape(-1)
     amount, target = np.array(_TURNS)[ids // len(_MUTED) % len(_TURNS)].T[:, :, None]
-    colours = _MUTED[ids % len(_MUTED)] * (1 - amount) + target * amount
+    # Each turn starts at another hue, so that neighbouring ids nine apart differ in hue too.
+    hue = (ids + 4 * (ids // len(_MUTED))) % len(_MUTED)
+    colours = _MUTED[hue] * (1 - amount) + target * amount
     colours[ids < 0] = NO_ROOM_COLOUR
     return np.round(colours).astype(np.uint8)
 

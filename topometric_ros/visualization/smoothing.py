@@ -1,0 +1,53 @@
+"""Rasters made fine and smooth for the eye; what they mean stays on the coarse cells."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+_FINE_CELLS = 2_500_000
+"""A refined raster has at most about so many cells."""
+
+
+def refinement(shape: tuple[int, ...]) -> int:
+    """Return how many fine cells a cell's edge is cut into: 1 to 4."""
+    return int(np.clip(np.sqrt(_FINE_CELLS / max(1, shape[0] * shape[1])), 1, 4))
+
+
+def fine_origin(origin: tuple[float, float], cell: float, factor: int) -> tuple[float, float]:
+    """Return the centre of the first fine cell, m."""
+    shift = cell * (0.5 / factor - 0.5)
+    return origin[0] + shift, origin[1] + shift
+
+
+def smooth_mask(mask: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
+    """Refine a mask by `factor` and round off its stairs; lines one cell wide survive."""
+    closed = ndimage.binary_closing(np.pad(mask, 2), np.ones((3, 3)))[2:-2, 2:-2]
+    return _refined(closed.astype(np.float32), factor, 0.75) > 0.33
+
+
+def smooth_labels(labels: NDArray[np.int32], factor: int) -> NDArray[np.int32]:
+    """Refine a label raster by `factor`; every fine cell takes the label that is densest there."""
+    shape = (labels.shape[0] * factor, labels.shape[1] * factor)
+    best = np.zeros(shape, dtype=np.float32)
+    result = np.full(shape, labels.min(initial=0), dtype=np.int32)
+    for label in np.unique(labels):
+        density = _refined((labels == label).astype(np.float32), factor, 1.2)
+        result[density > best] = label
+        np.maximum(best, density, out=best)
+    return result
+
+
+def _refined(values: NDArray[np.float32], factor: int, blur: float) -> NDArray[np.float32]:
+    """Blur by `blur` cells and interpolate linearly at the centres of the fine cells."""
+    blurred = ndimage.gaussian_filter(values, blur)
+    positions = [(np.arange(n * factor) + 0.5) / factor - 0.5 for n in values.shape]
+    for axis, at in enumerate(positions):
+        low = np.clip(np.floor(at).astype(np.int64), 0, values.shape[axis] - 1)
+        high = np.minimum(low + 1, values.shape[axis] - 1)
+        share = np.clip(at - low, 0.0, 1.0).astype(np.float32)
+        share = share[:, None] if axis == 0 else share[None, :]
+        lower, upper = np.take(blurred, low, axis), np.take(blurred, high, axis)
+        blurred = lower * (1 - share) + upper * share
+    return blurred
