@@ -94,8 +94,13 @@ def merge_pieces(
     The best pair merges first, ties by the lowest numbers, and the features are taken anew.
     """
     state = _Regions(
-        np.arange(len(features.peak)),
-        *(np.array(getattr(features, n)) for n in ("a", "b", "saddle", "corner", "line", "peak")),
+        parent=np.arange(len(features.peak)),
+        a=features.a.copy(),
+        b=features.b.copy(),
+        saddle=features.saddle.copy(),
+        corner=features.corner.copy(),
+        line=features.line.copy(),
+        peak=features.peak.copy(),
         pairs=features.pairs.copy(),
         seen=features.seen.copy(),
     )

@@ -84,7 +84,7 @@ def _saddles(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Return pairs (P, 2), numbered from 0, the widths of their saddles (P,) and cells (P, 2)."""
     parts = []
-    x, y = np.indices(labels.shape)
+    x, y = np.meshgrid(*(np.arange(n) for n in labels.shape), indexing="ij")
     for near, far in (
         ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
         ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),

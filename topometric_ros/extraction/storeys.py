@@ -214,7 +214,9 @@ def find_storeys(
         ceiling, seen = _ceiling_level(columns, floor, following, config)
         floor_z = _fine_height(columns, heights, floor, columns.above >= 10)
         ceiling_z = origin_z + ceiling * RASTER
-        if seen and ceiling != following:
+        if not seen and ceiling != following:
+            ceiling_z = floor_z + config.usual_height
+        elif ceiling != following:
             ceiling_z = _fine_height(columns, heights, ceiling, columns.below >= 10)
         storeys.append(StoreyHeights(floor_z, max(ceiling_z, floor_z + 1.0), seen))
     return tuple(storeys)

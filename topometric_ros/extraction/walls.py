@@ -53,7 +53,7 @@ class WallsConfig:
 
 @dataclass(frozen=True)
 class StoreyRaster:
-    """One storey from above; raster cell (i, j) is the column of voxel coordinate `corner + (i, j)`.
+    """One storey from above; cell (i, j) is the column at voxel coordinates `corner + (i, j)`.
 
     `observed` columns hold any voxel of the storey, `domain` is the floor between the walls
     whether seen or not, `distance` (cells, float64) that from the nearest wall or the unknown.

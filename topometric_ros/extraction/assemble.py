@@ -1,0 +1,84 @@
+"""Putting what the stages found together as rooms and storeys of a topometric map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.topometric_map import NO_ROOM, Passage, Room
+from topometric_ros.voxels.grid import VoxelGrid
+
+_MOST_WITHOUT_ROOM = 0.25
+"""A larger share of voxels without a room is worth a warning."""
+
+
+def assemble_rooms(
+    grid: VoxelGrid,
+    room: NDArray[np.int32],
+    storey: NDArray[np.int32],
+    passages: Iterable[Passage],
+) -> tuple[Room, ...]:
+    """Describe every room that has voxels, ordered by id.
+
+    Parameters
+    ----------
+    grid : the occupied voxels
+    room : (N,) int32, NO_ROOM for voxels in none
+    storey : (N,) int32, the storey of each voxel; a room lies on that of most of its voxels
+    passages : those that lead to a room keep it from being isolated
+    """
+    reached = {room_id for passage in passages for room_id in passage.rooms}
+    order = np.argsort(room, kind="stable")
+    ids, starts = np.unique(room[order], return_index=True)
+    half = grid.voxel_size / 2
+    rooms = []
+    for room_id, rows in zip(ids.tolist(), np.split(order, starts[1:]), strict=True):
+        if room_id == NO_ROOM:
+            continue
+        coords = grid.coords[rows]
+        centres = grid.origin + coords * grid.voxel_size
+        columns = len(np.unique(coords[:, :2], axis=0))
+        rooms.append(
+            Room(
+                id=room_id,
+                storey=int(np.argmax(np.bincount(storey[rows]))),
+                centroid=_triple(centres.mean(0)),
+                bounds=(_triple(centres.min(0) - half), _triple(centres.max(0) + half)),
+                voxels=len(rows),
+                area=columns * grid.voxel_size**2,
+                isolated=room_id not in reached,
+            )
+        )
+    return tuple(rooms)
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def majority(group: NDArray[np.int64], labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the commonest label of each group, ties by the lowest: (G,) int32.
+
+    Parameters
+    ----------
+    group : (P,) the group of each label; every group from 0 to G - 1 occurs
+    labels : (P,) int32, -1 or more
+    """
+    width = int(labels.max()) + 2
+    codes, counts = np.unique(group * width + labels + 1, return_counts=True)
+    order = np.lexsort((codes, -counts, codes // width))
+    first = np.unique((codes // width)[order], return_index=True)[1]
+    return (codes[order[first]] % width - 1).astype(np.int32)
+
+
+def map_warnings(room: NDArray[np.int32]) -> tuple[str, ...]:
+    """Return what a reader of the map should know about its rooms."""
+    if not (room != NO_ROOM).any():
+        return ("no rooms found",)
+    without = float(np.mean(room == NO_ROOM))
+    if without > _MOST_WITHOUT_ROOM:
+        return (f"{without:.0%} of the voxels belong to no room",)
+    return ()

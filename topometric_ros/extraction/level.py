@@ -1,0 +1,237 @@
+"""Levelling a cloud by its floors: the tilt at which the most points lie in the fewest layers.
+
+Floors and ceilings are the largest planes of a building, so the histogram of heights is sharpest
+when they are level. Walls, stairs, ramps and sloped roofs blur it at any tilt and do not decide.
+The same areas tell a cloud that lies on its side: then another axis has the largest layers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from topometric_ros.configuration import parameter
+from topometric_ros.extraction.errors import ExtractionError
+from topometric_ros.voxels.grid import thin
+
+_CELL = 0.1
+_MOST_POINTS = 40_000
+_LAYER = 0.05
+_FIT_BAND = 0.06
+_FIT_ROUNDS = 4
+_COARSE_STEP = 1.5
+
+
+@dataclass(frozen=True)
+class LevelConfig:
+    """When a cloud counts as tilted or as lying on its side."""
+
+    enabled: bool = parameter(True, "Level tilted clouds before anything is extracted.")
+    largest_tilt: float = parameter(
+        15.0, "Largest tilt that is looked for.", unit="deg", minimum=0.0, maximum=30.0
+    )
+    smallest_tilt: float = parameter(
+        0.4, "Smaller tilts are left as they are.", unit="deg", minimum=0.0, maximum=10.0
+    )
+    gain: float = parameter(
+        1.05, "Factor by which levelling must sharpen the layers.", minimum=1.0, maximum=10.0
+    )
+    check_up: bool = parameter(True, "Compare the floor with what other axes would take for one.")
+    doubt: float = parameter(
+        1.4, "Warn where another axis has a layer this much larger.", minimum=1.0, maximum=100.0
+    )
+    refusal: float = parameter(
+        4.0, "Refuse where another axis has a layer this much larger.", minimum=1.0, maximum=100.0
+    )
+    refusal_area: float = parameter(
+        40.0, "Refuse only where that layer has this area.", unit="m²", minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Level:
+    """How the input lies: `T_level_input` (4, 4) levels it by turning it by `tilt` (rad)."""
+
+    T_level_input: NDArray[np.float64]
+    tilt: float
+    warnings: tuple[str, ...]
+
+
+def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
+    """Find the transform that makes the floors level.
+
+    Parameters
+    ----------
+    points : (P, 3) float64, m, input frame, P > 0
+    config : LevelConfig
+
+    Returns
+    -------
+    Level, the identity where the tilt is too small or levelling would sharpen too little
+
+    Raises
+    ------
+    ExtractionError
+        The layers perpendicular to another axis are so much larger that it must be the one up.
+    """
+    cells = thin(points, _CELL)
+    slope = _sharpest_slope(cells, config) if config.enabled else np.zeros(2)
+    T = np.eye(4)
+    T[:3, :3] = _levelling_rotation(slope)
+    warnings = []
+    if config.check_up:
+        warnings += _doubt_of_up(_largest_layers(cells, T[2, :3]), config)
+    tilt = float(np.arctan(np.hypot(*slope)))
+    return Level(T, tilt, (*warnings, *tilt_warnings(tilt)))
+
+
+def tilt_warnings(tilt: float) -> tuple[str, ...]:
+    """Return what to tell of a cloud that was turned by `tilt` (rad) to be level."""
+    if tilt == 0.0:
+        return ()
+    return (
+        f"the floor is tilted by {np.degrees(tilt):.1f}°, so the cloud was levelled first; "
+        "set level.enabled to false to take it as it is",
+    )
+
+
+def no_floor(points: NDArray[np.float64]) -> ExtractionError:
+    """Return the error for a cloud (P, 3) in which nothing has headroom above it."""
+    layers = _largest_layers(thin(points, _CELL), np.array([0.0, 0.0, 1.0]))
+    axis = "xyz"[int(np.argmax(layers))]
+    if axis == "z":
+        return ExtractionError(
+            f"no floor found with z up (largest level {layers[2]:.0f} m²): "
+            "name the axis that points up with --up x or --up y"
+        )
+    return ExtractionError(f"no floor found with z up; {_up_hint(axis, layers)}")
+
+
+def _up_hint(axis: str, layers: tuple[float, float, float]) -> str:
+    area = layers["xyz".index(axis)]
+    return (
+        f"the floor looks perpendicular to {axis}: use --up {axis} "
+        f"(largest layer {area:.0f} m², perpendicular to z {layers[2]:.0f} m²)"
+    )
+
+
+def _doubt_of_up(layers: tuple[float, float, float], config: LevelConfig) -> list[str]:
+    """Return a warning where another axis is likelier up.
+
+    Raises
+    ------
+    ExtractionError
+        It is much likelier.
+    """
+    axis = "xy"[int(np.argmax(layers[:2]))]
+    area = max(layers[:2])
+    if area >= config.refusal * layers[2] and area >= config.refusal_area:
+        raise ExtractionError(f"no floor found with z up; {_up_hint(axis, layers)}")
+    return [_up_hint(axis, layers)] if area >= config.doubt * layers[2] else []
+
+
+def _levelling_rotation(slope: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the smallest rotation (3, 3) that turns planes z = slope · (x, y) level."""
+    normal = np.array([-slope[0], -slope[1], 1.0])
+    x, y, z = normal / np.linalg.norm(normal)
+    # Rodrigues' formula for the turn of (x, y, z) into (0, 0, 1).
+    return np.array(
+        [
+            [1 - x * x / (1 + z), -x * y / (1 + z), -x],
+            [-x * y / (1 + z), 1 - y * y / (1 + z), -y],
+            [x, y, z],
+        ]
+    )
+
+
+def _largest_layers(
+    cells: NDArray[np.float64], up: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """Return the areas (m²) of the largest layers perpendicular to x, y and `up`.
+
+    `cells` holds one point of each 0.1 m cell; a layer is three cells thick.
+    """
+    areas = []
+    for heights in (cells[:, 0], cells[:, 1], cells @ up):
+        bins = np.floor(heights / _CELL + 0.5).astype(np.int64)
+        counts = np.bincount(bins - bins.min())
+        areas.append(float(np.convolve(counts, np.ones(3)).max() * _CELL**2))
+    return areas[0], areas[1], areas[2]
+
+
+def _sharpest_slope(cells: NDArray[np.float64], config: LevelConfig) -> NDArray[np.float64]:
+    """Return the slope (2,) of the floors, 0 where levelling is not worth it.
+
+    Searched from coarse to fine, layers as thick as a step of the search moves the points; then a
+    plane is fitted to the largest layer.
+    """
+    stride = -(-len(cells) // _MOST_POINTS)
+    sample = cells[::stride] - np.median(cells, axis=0)
+    span = float(np.sqrt((sample[:, :2] ** 2).sum(1).mean())) + _LAYER
+    step, limit = np.radians(_COARSE_STEP), np.radians(config.largest_tilt)
+    side = np.arange(-np.floor(limit / step), np.floor(limit / step) + 1) * step
+    grid = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
+    slope = _best(sample, grid[np.hypot(grid[:, 0], grid[:, 1]) <= limit + 1e-9], span * step / 2)
+    while span * step > _LAYER / 2:
+        step /= 3
+        side = np.arange(-3, 4) * step
+        around = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
+        slope = _best(sample, slope + around, span * step / 2)
+    slope = _fitted(sample, slope)
+    before = _sharpness(sample, 0.0, 0.0, _LAYER)
+    after = _sharpness(sample, slope[0], slope[1], _LAYER)
+    tilt = np.degrees(np.arctan(np.hypot(*slope)))
+    if tilt < config.smallest_tilt or after < config.gain * before:
+        return np.zeros(2)
+    return slope
+
+
+def _best(
+    points: NDArray[np.float64], slopes: NDArray[np.float64], layer: float
+) -> NDArray[np.float64]:
+    """Return the slope of sharpest layers; of equal ones the smallest tilt."""
+    slopes = slopes[np.lexsort((slopes[:, 1], slopes[:, 0], (slopes**2).sum(1)))]
+    layer = max(layer, _LAYER)
+    scores = [_sharpness(points, a, b, layer) for a, b in slopes]
+    return np.asarray(slopes[int(np.argmax(scores))])
+
+
+def _fitted(points: NDArray[np.float64], slope: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the slope of the plane through the largest layer, by least squares."""
+    heights = (points[:, 2] - points[:, :2] @ slope) / _LAYER
+    bins = np.floor(heights).astype(np.int64)
+    counts = np.convolve(np.bincount(bins - bins.min()), np.ones(2))
+    level = (int(np.argmax(counts)) + bins.min()) * _LAYER
+    plane = np.array([slope[0], slope[1], level])
+    design = np.column_stack([points[:, :2], np.ones(len(points))])
+    for _ in range(_FIT_ROUNDS):
+        near = np.abs(points[:, 2] - design @ plane) < _FIT_BAND
+        if np.count_nonzero(near) < 3:
+            break
+        plane = np.linalg.lstsq(design[near], points[near, 2], rcond=None)[0]
+    return plane[:2]
+
+
+@njit(cache=True, nogil=True)
+def _sharpness(points, slope_x, slope_y, layer):  # type: ignore[no-untyped-def]
+    """Sum of squares of the histogram of heights above a plane, points shared by two bins."""
+    count = len(points)
+    heights = np.empty(count)
+    scale = 1.0 / np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y) / layer
+    for i in range(count):
+        heights[i] = (points[i, 2] - slope_x * points[i, 0] - slope_y * points[i, 1]) * scale
+    low = heights.min()
+    histogram = np.zeros(int(heights.max() - low) + 2)
+    for i in range(count):
+        position = heights[i] - low
+        bin_below = int(position)
+        part = position - bin_below
+        histogram[bin_below] += 1.0 - part
+        histogram[bin_below + 1] += part
+    total = 0.0
+    for value in histogram:
+        total += value * value
+    return total / (float(count) * float(count))

@@ -1,0 +1,254 @@
+"""From a cloud to a topometric map: the stages of extraction strung together and timed."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.extraction import default_rooms, thesis_rooms
+from topometric_ros.extraction.assemble import assemble_rooms, majority, map_warnings
+from topometric_ros.extraction.columns import Columns, sort_columns
+from topometric_ros.extraction.config import ExtractionConfig
+from topometric_ros.extraction.errors import ExtractionError
+from topometric_ros.extraction.layers import refine_floor, storey_layers
+from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_warnings
+from topometric_ros.extraction.navigation import navigable_volume
+from topometric_ros.extraction.passages import find_passages
+from topometric_ros.extraction.storeys import (
+    RASTER,
+    StoreyHeights,
+    assign_storeys,
+    find_storeys,
+)
+from topometric_ros.extraction.viewpoints import viewpoints
+from topometric_ros.topometric_map import Storey, TopometricMap
+from topometric_ros.voxels.grid import VoxelGrid, surface_offsets, thin, voxelise
+
+logger = logging.getLogger(__name__)
+
+_FINEST_LAYERS = 0.05
+"""The rasters of storeys are made of points thinned to at most this cell (m)."""
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """A map and what it took: `timings` holds CPU seconds of this thread by stage."""
+
+    map: TopometricMap
+    timings: dict[str, float]
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """A levelled cloud in voxels, and its storeys.
+
+    `cell_of_point` is the map voxel of each thinned point, `raster_of_point` its 0.1 m voxel; both
+    are the same where the map's voxels have that size. `heights` and `storey_of_raster` belong to
+    the 0.1 m voxels.
+    """
+
+    points: NDArray[np.float64]
+    level: Level
+    grid: VoxelGrid
+    cell_of_point: NDArray[np.int64]
+    raster_of_point: NDArray[np.int64]
+    columns: Columns
+    heights: NDArray[np.float64]
+    storeys: tuple[StoreyHeights, ...]
+    storey_of_raster: NDArray[np.int32]
+
+    def per_voxel(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Carry labels (R,) of the 0.1 m voxels over to the map's voxels: (N,) int32."""
+        return majority(self.cell_of_point, labels[self.raster_of_point])
+
+
+class _Stopwatch:
+    """CPU seconds of this thread by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.thread_time()
+        yield
+        self.seconds[name] = time.thread_time() - start
+
+
+def extract(
+    points: NDArray[np.float64],
+    config: ExtractionConfig,
+    *,
+    agent: str = "agent",
+    session: str = "",
+    sequence: int = 0,
+    frame_id: str = "map",
+    stamp: int = 0,
+    origin: tuple[float, float, float] | None = None,
+    T_level_input: NDArray[np.float64] | None = None,
+) -> Extraction:
+    """Extract a topometric map from a cloud.
+
+    Parameters
+    ----------
+    points : (P, 3) float64, m, input frame, finite
+    config : ExtractionConfig
+    agent, session, sequence, frame_id, stamp : copied into the map
+    origin : m, level frame, of the lattice of an earlier map of this session. By default x and y
+        are 0 and z lies on the lowest floor, so that a layer of cell centres does.
+    T_level_input : (4, 4) of an earlier map of this session; estimated by default
+
+    Returns
+    -------
+    Extraction; a voxel has no room where its column lies too far from every room (preset
+    `default`) or no view reached it (preset `thesis`)
+
+    Raises
+    ------
+    ExtractionError
+        No points, or no floor with z up.
+    """
+    watch = _Stopwatch()
+    scene = _scene(points, config, origin, T_level_input, watch)
+    grid = scene.grid
+    room, navigable, eyes = _rooms(scene, config, watch)
+    with watch.stage("layers"):
+        storeys = _map_storeys(scene, config)
+    with watch.stage("passages"):
+        passages = find_passages(grid, room, navigable, config.passages)
+    with watch.stage("assemble"):
+        storey = scene.per_voxel(scene.storey_of_raster)
+        rooms = assemble_rooms(grid, room, storey, passages)
+        offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
+    warnings = (*scene.level.warnings, *map_warnings(room))
+    for warning in warnings:
+        logger.warning("%s: %s", agent, warning)
+    x, y, z = (float(v) for v in grid.origin)
+    result = TopometricMap(
+        agent=agent,
+        session=session,
+        sequence=sequence,
+        frame_id=frame_id,
+        stamp=stamp,
+        voxel_size=grid.voxel_size,
+        origin=(x, y, z),
+        voxels=grid.coords,
+        offsets=offsets,
+        room=room,
+        navigable=navigable,
+        viewpoints=eyes.astype(np.float32),
+        rooms=rooms,
+        passages=passages,
+        storeys=storeys,
+        T_level_input=scene.level.T_level_input,
+        warnings=warnings,
+    )
+    return Extraction(result, watch.seconds)
+
+
+def _scene(
+    points: NDArray[np.float64],
+    config: ExtractionConfig,
+    origin: tuple[float, float, float] | None,
+    T_level_input: NDArray[np.float64] | None,
+    watch: _Stopwatch,
+) -> _Scene:
+    """Thin and level a cloud, find its storeys and put it into voxels."""
+    if len(points) == 0:
+        raise ExtractionError("no points to extract a map from")
+    with watch.stage("thin"):
+        points = thin(np.asarray(points, np.float64), min(config.voxel_size / 2, _FINEST_LAYERS))
+    with watch.stage("level"):
+        level = _level(points, T_level_input, config)
+        T = level.T_level_input
+        if not np.array_equal(T, np.eye(4)):
+            points = points @ T[:3, :3].T + T[:3, 3]
+    with watch.stage("storeys"):
+        lattice = np.zeros(3) if origin is None else np.array(origin, np.float64)
+        raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
+        if origin is None:
+            lattice[2] = refine_floor(points, storeys[0].floor, config.layers)
+            raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
+        storey_of_raster = assign_storeys(columns, heights, storeys)
+    with watch.stage("voxelise"):
+        if config.voxel_size == RASTER:
+            grid, cell_of_point = raster, raster_of_point
+        else:
+            grid, cell_of_point = voxelise(points, config.voxel_size, lattice)
+    return _Scene(
+        points,
+        level,
+        grid,
+        cell_of_point,
+        raster_of_point,
+        columns,
+        heights,
+        storeys,
+        storey_of_raster,
+    )
+
+
+def _level(
+    points: NDArray[np.float64], T_level_input: NDArray[np.float64] | None, config: ExtractionConfig
+) -> Level:
+    """Estimate how the cloud lies, or take what an earlier map of the session found."""
+    if T_level_input is None:
+        return estimate_level(points, config.level)
+    T = np.array(T_level_input, np.float64)
+    tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+    return Level(T, tilt, tilt_warnings(tilt))
+
+
+def _storeys(
+    points: NDArray[np.float64], lattice: NDArray[np.float64], config: ExtractionConfig
+) -> tuple[VoxelGrid, NDArray[np.int64], Columns, NDArray[np.float64], tuple[StoreyHeights, ...]]:
+    """Put points into 0.1 m voxels and find the storeys; raises ExtractionError without a floor."""
+    raster, raster_of_point = voxelise(points, RASTER, lattice)
+    columns = sort_columns(raster.coords)
+    count = np.bincount(raster_of_point)
+    heights = np.bincount(raster_of_point, weights=points[:, 2]) / count
+    storeys = find_storeys(columns, heights, float(lattice[2]), config.storeys)
+    if not storeys:
+        raise no_floor(points)
+    return raster, raster_of_point, columns, heights, storeys
+
+
+def _rooms(
+    scene: _Scene, config: ExtractionConfig, watch: _Stopwatch
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
+    """Return the room of every voxel, the navigable voxels and the viewpoints."""
+    with watch.stage("navigation"):
+        navigable = navigable_volume(scene.grid, config.navigation)
+    with watch.stage("viewpoints"):
+        eyes = viewpoints(navigable, scene.grid, config.viewpoints)
+    with watch.stage("rooms"):
+        if config.method == "visibility":
+            room = thesis_rooms.segment(scene.grid, navigable, eyes, config.views)
+        else:
+            of_raster = default_rooms.segment(
+                scene.columns,
+                scene.heights,
+                scene.storeys,
+                scene.storey_of_raster,
+                config.narrowings,
+            )
+            room = scene.per_voxel(of_raster)
+    return room, navigable, eyes
+
+
+def _map_storeys(scene: _Scene, config: ExtractionConfig) -> tuple[Storey, ...]:
+    """Describe the storeys with their bird's-eye layers."""
+    floors = [refine_floor(scene.points, s.floor, config.layers) for s in scene.storeys]
+    layers = storey_layers(scene.points, floors, config.layers)
+    return tuple(
+        Storey(index, floor, found.ceiling if found.ceiling_seen else None, of_storey)
+        for index, (floor, found, of_storey) in enumerate(
+            zip(floors, scene.storeys, layers, strict=True)
+        )
+    )
