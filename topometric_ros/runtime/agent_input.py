@@ -1,0 +1,159 @@
+"""One agent's clouds and transforms on their way into its session, live and in replay alike.
+
+Decides for each cloud whether it is a whole map or a single scan, places scans by the agent's own
+TF tree, and lets a scan wait until the transforms around its stamp have arrived.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.errors import TopometricError
+from topometric_ros.io.pointcloud2 import CloudError, points_from_message
+from topometric_ros.runtime.extractor_session import ExtractorSession
+from topometric_ros.runtime.message_codec import stamp_of
+from topometric_ros.runtime.transforms import (
+    TransformBuffer,
+    TransformError,
+    TransformNotYetError,
+)
+
+logger = logging.getLogger(__name__)
+
+MODES = ("auto", "map", "scan")
+
+
+class InputError(TopometricError):
+    """An input mode that does not exist."""
+
+
+@dataclass(frozen=True)
+class _Scan:
+    points: NDArray[np.float64]
+    frame_id: str
+    stamp: int
+    dropped: int
+
+
+class AgentInput:
+    """The way of one agent's clouds into its :class:`ExtractorSession`.
+
+    Parameters
+    ----------
+    session : where the clouds go
+    mode : map, scan, or auto: a cloud is a scan where its frame lies below the map's on /tf
+    map_frame : frame of the map; empty: see :meth:`TransformBuffer.map_frame`
+    history : how far back (ns) transforms are kept, None: for ever
+    waiting : scans that may wait for their transforms; the oldest are skipped and counted
+    """
+
+    def __init__(
+        self,
+        session: ExtractorSession,
+        mode: str = "auto",
+        map_frame: str = "",
+        history: int | None = None,
+        waiting: int = 200,
+    ) -> None:
+        if mode not in MODES:
+            raise InputError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
+        self.session = session
+        self.mode = mode
+        self.transforms = TransformBuffer(history)
+        self.skipped: list[str] = []
+        """Why clouds were skipped, one sentence each, the newest last (at most 100 are kept)."""
+        self.skipped_count = 0
+        self._map_frame = map_frame.lstrip("/")
+        self._waiting: deque[_Scan] = deque()
+        self._most_waiting = waiting
+        self._taken_as_map = ""
+
+    def add_transforms(self, message: Any, static: bool) -> None:
+        """Take a tf2_msgs/TFMessage; transforms that cannot be right are skipped and counted."""
+        try:
+            self.transforms.add_message(message, static)
+        except TransformError as error:
+            self._skip(str(error))
+        self._place_waiting()
+
+    def add_cloud(self, message: Any) -> None:
+        """Take a sensor_msgs/PointCloud2.
+
+        Raises
+        ------
+        CloudError
+            The message contradicts itself or holds no finite point; nothing has changed.
+        """
+        points, dropped = points_from_message(message)
+        if len(points) == 0:
+            total = dropped or "0"
+            raise CloudError(
+                f"a cloud in frame {message.header.frame_id}: no finite point of {total}"
+            )
+        self.add_points(points, message.header.frame_id, stamp_of(message.header), dropped)
+
+    def add_points(
+        self, points: NDArray[np.float64], frame_id: str, stamp: int, dropped: int = 0
+    ) -> None:
+        """Take the finite points (N, 3) float64, m, of a cloud in `frame_id` at `stamp` (ns)."""
+        frame_id = frame_id.lstrip("/")
+        if not self._is_scan(frame_id):
+            self._taken_as_map = frame_id
+            self.session.add_map_cloud(points, frame_id, stamp, dropped)
+            return
+        if frame_id == self._taken_as_map:
+            logger.warning(
+                "%s: clouds in %s are scans, as /tf now says; those before are forgotten",
+                *(self.session.agent, frame_id),
+            )
+            self.session.reset()
+            self._taken_as_map = ""
+        self._waiting.append(_Scan(points, frame_id, stamp, dropped))
+        self._place_waiting()
+        while len(self._waiting) > self._most_waiting:
+            scan = self._waiting.popleft()
+            self._skip(f"a scan in {scan.frame_id} waited too long for its transform")
+
+    def finish(self) -> None:
+        """Skip what still waits: nothing more will arrive."""
+        while self._waiting:
+            self._place(self._waiting.popleft(), last=True)
+
+    def _is_scan(self, frame_id: str) -> bool:
+        if self.mode != "auto":
+            return self.mode == "scan"
+        if frame_id not in self.transforms.frames():
+            return False
+        target = self._map_frame or self.transforms.map_frame(frame_id)
+        return target != frame_id and target in self.transforms.ancestors(frame_id)
+
+    def _place_waiting(self) -> None:
+        while self._waiting and self._place(self._waiting[0]):
+            self._waiting.popleft()
+
+    def _place(self, scan: _Scan, last: bool = False) -> bool:
+        """Put a scan into the session, or skip it; False where it should wait."""
+        try:
+            target = self._map_frame or self.transforms.map_frame(scan.frame_id)
+            T_map_sensor = self.transforms.lookup(target, scan.frame_id, scan.stamp)
+        except TransformNotYetError as error:
+            if not last:
+                return False
+            self._skip(str(error))
+            return True
+        except TransformError as error:
+            self._skip(str(error))
+            return True
+        self.session.add_scan(scan.points, target, scan.stamp, T_map_sensor, scan.dropped)
+        return True
+
+    def _skip(self, reason: str) -> None:
+        self.skipped_count += 1
+        self.skipped = [*self.skipped[-99:], reason]
+        logger.debug("%s: skipped: %s", self.session.agent, reason)

@@ -1,0 +1,288 @@
+"""The merger's state without ROS: maps of agents in, one global map and its alignments out.
+
+Only what changed is aligned again. An accepted alignment changes only for a better one, so that
+robots that steer by it are not thrown about. No threads and no clock.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.alignment import (
+    Alignment,
+    AlignmentStatus,
+    MergeResult,
+)
+from topometric_ros.fusion.align import Prepared, Stopwatch, align
+from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.fusion.merge import merge
+from topometric_ros.runtime.extractor_session import SessionError
+from topometric_ros.runtime.stability import steadier, support
+from topometric_ros.runtime.transforms import check_rigid
+from topometric_ros.topometric_map import TopometricMap
+
+logger = logging.getLogger(__name__)
+
+Pair = tuple[str, str]
+_Version = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class _Known:
+    """An alignment and the versions (session, sequence) of the two maps that it was made from."""
+
+    alignment: Alignment
+    versions: tuple[_Version, _Version]
+    support: float
+    """Voxels that both maps held when the alignment was made."""
+
+
+class MergerSession:
+    """The merger of a fleet.
+
+    Parameters
+    ----------
+    config : MergeConfig
+    agents : ids in the order of the result, the first with a map is the anchor; agents that are not
+        named come after these in the order in which their maps arrive
+    """
+
+    def __init__(self, config: MergeConfig, agents: Sequence[str] = ()) -> None:
+        self.config = config
+        self._order = list(agents)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all maps and alignments, those set by hand included."""
+        self.maps: dict[str, TopometricMap] = {}
+        """The map of each agent that takes part in the result."""
+        self.sources: dict[str, str] = {}
+        self.result: MergeResult | None = None
+        """The newest result, None before the first."""
+        self._newer_session: dict[str, TopometricMap] = {}
+        self._ended: dict[str, set[str]] = {}
+        self._known: dict[Pair, _Known] = {}
+        self._fixed: dict[Pair, Alignment] = {}
+        self._prepared: dict[str, Prepared] = {}
+
+    @property
+    def stale(self) -> tuple[str, ...]:
+        """Agents in the result with an old map, since their newer session is not aligned yet."""
+        return tuple(sorted(self._newer_session))
+
+    def add_map(self, m: TopometricMap, source: str = "") -> bool:
+        """Take an agent's map; False where it is no newer than the one that is held.
+
+        Parameters
+        ----------
+        m : the map
+        source : where it came from, for the record
+
+        Raises
+        ------
+        SessionError
+            The map belongs to a session that has ended.
+        """
+        if m.session in self._ended.get(m.agent, ()):
+            raise SessionError(f"{m.agent}: a map of session {m.session!r}, which has ended")
+        self.sources[m.agent] = source or self.sources.get(m.agent, m.agent)
+        if m.agent not in self._order:
+            self._order.append(m.agent)
+        newest = self._newer_session.get(m.agent) or self.maps.get(m.agent)
+        if newest is not None and newest.session == m.session:
+            if m.sequence <= newest.sequence:
+                return False
+            into = self._newer_session if m.agent in self._newer_session else self.maps
+            into[m.agent] = m
+            return True
+        if newest is None:
+            self.maps[m.agent] = m
+            return True
+        logger.info("%s: session %s follows %s", m.agent, m.session, newest.session)
+        self._ended.setdefault(m.agent, set()).add(newest.session)
+        self._newer_session[m.agent] = m
+        self._fixed = {p: x for p, x in self._fixed.items() if m.agent not in p}
+        return True
+
+    def merge(self, progress: Callable[[str], None] | None = None) -> MergeResult:
+        """Align what changed and fuse the maps.
+
+        Raises
+        ------
+        SessionError
+            No map was received yet.
+        MergeError
+            The maps cannot be merged.
+        """
+        if not self.maps:
+            raise SessionError("no map was received yet")
+        watch = Stopwatch()
+        self._take_over(watch, progress)
+        order = [agent for agent in self._order if agent in self.maps]
+        for a, b in itertools.combinations(order, 2):
+            if self._fixed_for((a, b)) is None:
+                self._align_again(self.maps[a], self.maps[b], watch, progress)
+        known = {pair: entry.alignment for pair, entry in self._known.items()}
+        result = merge(
+            [self.maps[agent] for agent in order],
+            self.config,
+            sources=self.sources,
+            known=known,
+            fixed=self._fixed,
+            progress=progress,
+        )
+        timings = {**watch.seconds}
+        for stage, seconds in result.timings.items():
+            timings[stage] = timings.get(stage, 0.0) + seconds
+        warnings = (*result.warnings, *map(self._stale_warning, self.stale))
+        self.result = dataclasses.replace(result, timings=timings, warnings=warnings)
+        return self.result
+
+    def transforms(self) -> dict[str, NDArray[np.float64]]:
+        """Return `T_global_agent` (4, 4) of every agent whose place is known now.
+
+        An agent whose newer session is not aligned yet has none: its old transform says nothing
+        about where its frame is now.
+        """
+        if self.result is None:
+            return {}
+        return {
+            agent.id: agent.T_global_agent
+            for agent in self.result.agents
+            if agent.T_global_agent is not None and agent.id not in self._newer_session
+        }
+
+    def set_alignment(self, a: str, b: str, T_a_b: NDArray[np.float64]) -> None:
+        """Fix the transform between two agents; it stays until removed or a session ends.
+
+        Raises
+        ------
+        SessionError
+            The agents are not two that the merger knows.
+        TransformError
+            `T_a_b` is no rigid motion.
+        """
+        self._require_pair(a, b)
+        T_a_b = np.asarray(T_a_b, np.float64)
+        check_rigid(T_a_b, f"alignment of {a} and {b}")
+        self._fixed.pop((b, a), None)
+        self._fixed[a, b] = Alignment(
+            agents=(a, b),
+            status=AlignmentStatus.ACCEPTED,
+            reason="set by hand",
+            T_a_b=T_a_b,
+            confidence=1.0,
+        )
+
+    def remove_alignment(self, a: str, b: str) -> bool:
+        """Let the maps decide again about two agents; False where nothing was set by hand.
+
+        Raises
+        ------
+        SessionError
+            The agents are not two that the merger knows.
+        """
+        self._require_pair(a, b)
+        return any([self._fixed.pop(pair, None) for pair in ((a, b), (b, a))])
+
+    def fixed(self) -> dict[Pair, Alignment]:
+        """Return the alignments that were set by hand."""
+        return dict(self._fixed)
+
+    def _require_pair(self, a: str, b: str) -> None:
+        for agent in (a, b):
+            if agent not in self._order:
+                known = ", ".join(self._order) or "none"
+                raise SessionError(f"no agent {agent!r}; known: {known}")
+        if a == b:
+            raise SessionError(f"an alignment needs two agents, got {a!r} twice")
+
+    def _take_over(self, watch: Stopwatch, progress: Callable[[str], None] | None) -> None:
+        """Let the maps of newer sessions replace the old ones where that loses no alignment."""
+        for agent in list(self._newer_session):
+            if self._replaceable(agent, watch, progress):
+                self.maps[agent] = self._newer_session.pop(agent)
+                self._known = {
+                    pair: entry
+                    for pair, entry in self._known.items()
+                    if agent not in pair or self._current(pair, entry)
+                }
+
+    def _replaceable(
+        self, agent: str, watch: Stopwatch, progress: Callable[[str], None] | None
+    ) -> bool:
+        """Whether a newer session's map aligns with another agent, or the old one never did."""
+        agents = self.result.agents if self.result else ()
+        placed = [place.id for place in agents if place.T_global_agent is not None]
+        if agent not in placed or len(placed) < 2:
+            return True
+        new = self._newer_session[agent]
+        others = [self.maps[x] for x in self._order if x in self.maps and x != agent]
+        for other in others:
+            a, b = self._in_order(new, other)
+            if progress is not None:
+                progress(f"aligning {a.agent} and {b.agent}")
+            one, two = self._prepare(a), self._prepare(b)
+            alignment = align(one, two, self.config, watch)
+            if alignment.accepted:
+                versions = (_version(a), _version(b))
+                held = support(alignment, one, two)
+                self._known[a.agent, b.agent] = _Known(alignment, versions, held)
+                return True
+        return False
+
+    def _align_again(
+        self,
+        a: TopometricMap,
+        b: TopometricMap,
+        watch: Stopwatch,
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        """Bring the alignment of a pair up to date with its maps."""
+        pair = (a.agent, b.agent)
+        entry = self._known.get(pair)
+        if entry is not None and entry.versions == (_version(a), _version(b)):
+            return
+        if progress is not None:
+            progress(f"aligning {a.agent} and {b.agent}")
+        one, two = self._prepare(a), self._prepare(b)
+        new = align(one, two, self.config, watch)
+        held = support(new, one, two)
+        if entry is not None and entry.alignment.accepted and self._same_sessions(a, b, entry):
+            with watch.stage("stability"):
+                new, held = steadier(entry.alignment, entry.support, new, one, two, self.config)
+        self._known[pair] = _Known(new, (_version(a), _version(b)), held)
+
+    def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:
+        return (x, y) if self._order.index(x.agent) < self._order.index(y.agent) else (y, x)
+
+    def _current(self, pair: Pair, entry: _Known) -> bool:
+        return entry.versions == (_version(self.maps[pair[0]]), _version(self.maps[pair[1]]))
+
+    def _same_sessions(self, a: TopometricMap, b: TopometricMap, entry: _Known) -> bool:
+        return tuple(version[0] for version in entry.versions) == (a.session, b.session)
+
+    def _prepare(self, m: TopometricMap) -> Prepared:
+        """Return what aligning makes of a map, once for each version of it."""
+        prepared = self._prepared.get(m.agent)
+        if prepared is None or prepared.map is not m:
+            prepared = self._prepared[m.agent] = Prepared(m, self.config.search.scoring)
+        return prepared
+
+    def _fixed_for(self, pair: Pair) -> Alignment | None:
+        return self._fixed.get(pair) or self._fixed.get((pair[1], pair[0]))
+
+    def _stale_warning(self, agent: str) -> str:
+        old, new = self.maps[agent].session, self._newer_session[agent].session
+        return f"{agent}: session {new} is not aligned yet; its map of session {old} is kept"
+
+
+def _version(m: TopometricMap) -> _Version:
+    return m.session, m.sequence

@@ -1,0 +1,107 @@
+"""Whether a new alignment of two agents replaces the one that is in use."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+
+import numpy as np
+
+from topometric_ros.alignment import Alignment
+from topometric_ros.fusion.align import Prepared
+from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.fusion.poses import angle, apart, inverse, level_frames
+from topometric_ros.fusion.verification import missed_gate
+from topometric_ros.matching.evidence import evaluate
+
+logger = logging.getLogger(__name__)
+
+MARGIN = 0.1
+"""Share by which the new score must exceed the old transform's score on the new maps."""
+
+NEARBY = (0.3, np.deg2rad(3.0))
+"""m and rad: two transforms this close are one answer, known more or less well."""
+
+MORE_EVIDENCE = 1.2
+"""Factor by which the voxels that both maps hold must have grown for a nearby transform to count
+as better: it rests on more, although its score may be no higher."""
+
+
+def support(alignment: Alignment, a: Prepared, b: Prepared) -> float:
+    """Return how many voxels both maps hold under an alignment that was just made of them."""
+    return alignment.overlap * min(len(a.map.voxels), len(b.map.voxels))
+
+
+def steadier(
+    old: Alignment,
+    old_support: float,
+    new: Alignment,
+    a: Prepared,
+    b: Prepared,
+    config: MergeConfig,
+) -> tuple[Alignment, float]:
+    """Return the alignment to use: the new one where it is better by a margin, else the old one.
+
+    Parameters
+    ----------
+    old : the accepted alignment in use, made from earlier versions of the maps
+    old_support : its :func:`support` when it was made
+    new : what aligning the present maps gave
+    a, b : the present maps
+    config : MergeConfig
+
+    Returns
+    -------
+    The new alignment, or the old one with the score that its transform has on the present maps, and
+    its support when it was made.
+    """
+    if old.T_a_b is None:
+        return new, support(new, a, b)
+    name = f"{old.agents[0]} and {old.agents[1]}"
+    T_level = level_frames(old.T_a_b, a.map.T_level_input, b.map.T_level_input)
+    evidence = evaluate(a.fields, b.fields, T_level, config.search.scoring)
+    objection = missed_gate(evidence, config.verification) if config.verify else None
+    if objection is not None:
+        logger.info(
+            "%s: the alignment in use no longer holds (%s); now %s, score %.3f after %.3f",
+            *(name, objection, new.status, new.score, evidence.value),
+        )
+        return new, support(new, a, b)
+    kept = _kept(old, evidence.value, a, b)
+    if not new.accepted or new.T_a_b is None:
+        logger.info(
+            "%s: the alignment in use is kept (score %.3f); the new maps alone are %s: %s",
+            *(name, evidence.value, new.status, new.reason),
+        )
+        return kept, old_support
+    better = new.score > evidence.value * (1 + MARGIN)
+    firmer = support(new, a, b) > MORE_EVIDENCE * old_support
+    if better or (firmer and _nearby(old, new, b)):
+        logger.info(
+            "%s: the alignment changes, score %.3f after %.3f, overlap %.2f after %.2f",
+            *(name, new.score, evidence.value, new.overlap, old.overlap),
+        )
+        return new, support(new, a, b)
+    logger.info(
+        "%s: the alignment in use is kept, score %.3f against %.3f",
+        *(name, evidence.value, new.score),
+    )
+    return kept, old_support
+
+
+def _kept(old: Alignment, score: float, a: Prepared, b: Prepared) -> Alignment:
+    """Return the old alignment as it stands on the present maps, without rooms they have lost."""
+    rooms_a = {room.id for room in a.map.rooms}
+    rooms_b = {room.id for room in b.map.rooms}
+    matches = tuple(m for m in old.matches if m.room_a in rooms_a and m.room_b in rooms_b)
+    return dataclasses.replace(old, score=score, matches=matches)
+
+
+def _nearby(old: Alignment, new: Alignment, b: Prepared) -> bool:
+    """Whether two transforms are the same answer, at the middle of map b."""
+    if old.T_a_b is None or new.T_a_b is None or len(b.map.voxels) == 0:
+        return False
+    T_input_level = inverse(b.map.T_level_input)
+    middle = T_input_level[:3, :3] @ b.map.centres().mean(axis=0) + T_input_level[:3, 3]
+    distance = apart(old.T_a_b, new.T_a_b, middle[None])
+    return distance < NEARBY[0] and angle(inverse(old.T_a_b) @ new.T_a_b) < NEARBY[1]
