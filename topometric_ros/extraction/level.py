@@ -44,10 +44,10 @@ class LevelConfig:
         1.4, "Warn where another axis has a layer this much larger.", minimum=1.0, maximum=100.0
     )
     refusal: float = parameter(
-        4.0, "Refuse where another axis has a layer this much larger.", minimum=1.0, maximum=100.0
+        2.5, "Refuse where another axis has a layer this much larger.", minimum=1.0, maximum=100.0
     )
     refusal_area: float = parameter(
-        40.0, "Refuse only where that layer has this area.", unit="m²", minimum=0.0
+        60.0, "Refuse only where that layer has this area.", unit="m²", minimum=0.0
     )
 
 
