@@ -164,7 +164,7 @@ def matches_figure(a: TopometricMap, b: TopometricMap, alignment: Alignment) -> 
             labels.update({r: pose.apply(np.array([xy]))[0] for r, xy in plan.labels.items()})
         places.append(labels)
         for room, place in labels.items():
-            sheet.number(place, str(room), size=7.5)
+            sheet.number(place, str(room), _number_size(m, room))
         left, _, _, top = plan_bounds(plans[-1], poses[-1])
         sheet.caption(left, top + 0.4, m.agent, size=12)
         sheet.include((left, top, left, top + 1.0))
@@ -217,7 +217,12 @@ def _draw_graph(sheet: Sheet, topometric_map: TopometricMap, plan: Plan, pose: P
             # A passage to another storey, a stair, is filled dark.
             sheet.dot(place, "#ffffff" if len(here) == len(passage.rooms) else INK, 4.5)
     for room, place in labels.items():
-        sheet.number(place, str(room))
+        sheet.number(place, str(room), _number_size(topometric_map, room))
+
+
+def _number_size(topometric_map: TopometricMap, room: int) -> float:
+    """Return the height of a room's number, points: small rooms get small ones."""
+    return 8.0 if topometric_map.room_by_id(room).area >= 4.0 else 5.5
 
 
 def _storey_caption(sheet: Sheet, plan: Plan, pose: Pose) -> None:

@@ -192,8 +192,7 @@ class Sheet:
         )
 
     def number(self, place: Any, text: str, size: float = 8.0) -> None:
-        """Draw a room's number on a white disk."""
-        self._axes.plot(*place, "o", ms=size * 2.1, mfc=PAPER, mec=INK, mew=1.0, zorder=8)
+        """Draw a room's number on a white disk, wider where the number is long."""
         self._axes.text(
             *place,
             text,
@@ -203,6 +202,12 @@ class Sheet:
             color=INK,
             weight="bold",
             zorder=9,
+            bbox={
+                "boxstyle": f"round,pad={0.28 if len(text) > 1 else 0.36},rounding_size=0.9",
+                "facecolor": PAPER,
+                "edgecolor": INK,
+                "linewidth": 0.9,
+            },
         )
 
     def caption(self, x: float, y: float, text: str, size: float = 9.5, colour: str = INK) -> None:
