@@ -6,7 +6,9 @@ Without a cloud, the first agent's of the bundled bag.
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 CLOUD = f"{ROOT / 'bags/demo'}:/robot1/cloud_map"
@@ -30,7 +32,7 @@ def main() -> int:
     return 0
 
 
-def _rows(timings: dict, prefix: str):
+def _rows(timings: dict[str, Any], prefix: str) -> Iterator[tuple[str, float]]:
     """Yield the dotted names and values of nested timings (CPU seconds)."""
     for name, value in timings.items():
         if isinstance(value, dict):
