@@ -17,6 +17,9 @@ from topometric_ros.voxels.grid import VoxelGrid
 from topometric_ros.voxels.index import VoxelIndex, bit_count
 from topometric_ros.voxels.raycast import STEPS, seen_rows
 
+_TOLERANCE = 1e-9
+"""Cells; so that 0.7 m are seven voxels of 0.1 m, whatever the quotient's last digit."""
+
 
 @dataclass(frozen=True)
 class VisibilityConfig:
@@ -69,7 +72,7 @@ def visibilities(
         VoxelIndex(grid.coords).table,
         grid.coords,
         starts,
-        config.radius / grid.voxel_size,
+        config.radius / grid.voxel_size + _TOLERANCE,
         (len(grid) + 63) // 64,
     )
     return Visibilities(words, len(grid))
