@@ -1,0 +1,142 @@
+"""The global search finds where one map lies in another, and the evidence says how sure that is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from test.helpers import moved, yaw_transform
+from test.helpers_search import FLAT, building, map_of
+from topometric_ros.matching.evidence import evaluate, refine
+from topometric_ros.matching.search import SearchConfig, search_poses
+from topometric_ros.matching.search_fields import (
+    SearchError,
+    candidate_heights,
+    prepare,
+    storey_pairs,
+)
+from topometric_ros.matching.search_poses import pose_of
+
+CONFIG = SearchConfig()
+SCORING = CONFIG.scoring
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return building(FLAT)
+
+
+@pytest.fixture(scope="module")
+def map_a(flat):
+    """What one agent saw: all but the last room."""
+    return map_of(flat[flat[:, 1] < 4.05])
+
+
+def seen_by_b(flat, yaw):
+    """What another agent saw, in its own frame, and the true T_a_b."""
+    T_b_a = yaw_transform(yaw, (3.0, -7.5, 0.6))
+    return map_of(flat[flat[:, 0] > 3.0], T=T_b_a), np.linalg.inv(T_b_a)
+
+
+def assert_same_pose(T, truth, points, metres, degrees):
+    shift = np.linalg.norm(moved(points, T) - moved(points, truth), axis=1).mean()
+    turn = np.degrees(abs(pose_of(np.linalg.inv(truth) @ T).yaw))
+    assert shift < metres, f"{shift:.3f} m off"
+    assert turn < degrees, f"{turn:.2f}° off"
+
+
+@pytest.mark.parametrize("degrees", [0.0, 37.0, 91.3, 180.0, -114.7])
+def test_a_map_is_found_in_another_at_any_yaw(flat, map_a, degrees):
+    map_b, truth = seen_by_b(flat, np.radians(degrees))
+    best = search_poses(map_a, map_b, CONFIG)[0]
+    common = moved(flat[flat[:, 0] > 3.0], np.linalg.inv(truth))
+    assert_same_pose(best.T_a_b, truth, common, 0.1, 0.5)
+
+
+def test_the_right_storey_is_found(flat):
+    upper = building(FLAT[:2] + FLAT[4:]) * (-1.0, 1.0, 1.0) + (8.5, 0.0, 2.9)
+    house = np.concatenate([flat, upper])
+    T_b_a = yaw_transform(0.4, (1.0, 2.0, -1.2))
+    map_b = map_of(upper, floors=(2.9,), T=T_b_a)
+    best = search_poses(map_of(house, floors=(0.0, 2.9)), map_b, CONFIG)[0]
+    assert_same_pose(best.T_a_b, np.linalg.inv(T_b_a), moved(upper, T_b_a), 0.1, 0.5)
+
+
+def test_the_same_maps_give_the_same_candidates(flat, map_a):
+    map_b, _ = seen_by_b(flat, 0.3)
+    first, second = (search_poses(map_a, map_b, CONFIG) for _ in range(2))
+    assert [c.score for c in first] == [c.score for c in second]
+    assert all(np.array_equal(x.T_a_b, y.T_a_b) for x, y in zip(first, second, strict=True))
+
+
+def test_candidates_are_distinct_and_ordered(flat, map_a):
+    map_b, _ = seen_by_b(flat, 2.0)
+    candidates = search_poses(map_a, map_b, CONFIG)
+    assert 2 <= len(candidates) <= CONFIG.refine.keep
+    assert all(c.source == "search" for c in candidates)
+    scores = [c.score for c in candidates]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_maps_without_storeys_have_no_candidates(flat, map_a):
+    empty = dataclasses.replace(map_a, storeys=())
+    assert search_poses(map_a, empty, CONFIG) == []
+    assert search_poses(empty, map_a, CONFIG) == []
+
+
+def test_a_pose_and_its_inverse_have_the_same_evidence(flat, map_a):
+    map_b, truth = seen_by_b(flat, 0.7)
+    for wrong in (np.eye(4), yaw_transform(0.02, (0.15, -0.1, 0.0)), yaw_transform(3.1)):
+        T = truth @ wrong
+        there = evaluate(map_a, map_b, T, SCORING)
+        back = evaluate(map_b, map_a, np.linalg.inv(T), SCORING)
+        for name in ("score", "value", "free_floor", "agreed_wall", "smallest_eigenvalue"):
+            assert getattr(there, name) == pytest.approx(getattr(back, name), rel=0.01, abs=1.0)
+        assert there.wall_conflict == pytest.approx(back.wall_conflict, abs=0.005)
+
+
+def test_the_right_pose_has_no_conflict_and_a_shifted_one_has(flat, map_a):
+    map_b, truth = seen_by_b(flat, -1.1)
+    right = evaluate(map_a, map_b, truth, SCORING)
+    assert right.wall_conflict < 0.005
+    assert right.free_floor > 15.0
+    shifted = evaluate(map_a, map_b, yaw_transform(0.0, (1.0, 0.7, 0.0)) @ truth, SCORING)
+    assert shifted.wall_conflict > 0.1
+    assert shifted.value == 0.0
+
+
+def test_a_wall_seen_from_the_other_side_does_not_agree():
+    wall = building([((0.0, 0.0, 0.0), (6.0, 4.0, 2.6), ())])
+    behind = building([((6.0, 0.0, 0.0), (6.0, 4.0, 2.6), ())])
+    evidence = evaluate(map_of(wall), map_of(behind), np.eye(4), SCORING)
+    assert evidence.wall_agree > 30, "the wall between them stands in both"
+    assert evidence.agreed_wall < 1.5, "but each saw its own side"
+    assert evidence.wall_conflict == 0.0, "and low conflict alone means nothing"
+
+
+def test_refining_leads_a_rough_pose_to_the_right_one(flat, map_a):
+    map_b, truth = seen_by_b(flat, 0.9)
+    rough = yaw_transform(np.radians(2.0), (0.2, -0.15, 0.0)) @ truth
+    common = moved(flat[flat[:, 0] > 3.0], np.linalg.inv(truth))
+    assert_same_pose(refine(map_a, map_b, rough, SCORING), truth, common, 0.1, 0.5)
+
+
+def test_floors_that_differ_by_the_same_height_are_one_candidate():
+    rooms = building(FLAT[:2])
+    house = np.concatenate([rooms, rooms + (0.0, 0.0, 3.0)])
+    a = prepare(map_of(house, floors=(0.0, 3.0)), SCORING)
+    b = prepare(map_of(house, floors=(0.0, 3.04)), SCORING)
+    assert candidate_heights(a, b) == pytest.approx([-3.04, -0.02, 3.0], abs=0.011)
+    assert storey_pairs(a, b, 0.0) == [(0, 0), (1, 1)]
+    assert storey_pairs(a, b, 3.0) == [(1, 0)]
+    assert evaluate(a, b, yaw_transform(0.0, (0.0, 0.0, 1.5)), SCORING).storeys == 0
+
+
+def test_rasters_of_another_cell_size_are_refused(map_a):
+    storey = map_a.storeys[0]
+    coarse = dataclasses.replace(storey.layers, cell=0.2)
+    odd = dataclasses.replace(map_a, storeys=(dataclasses.replace(storey, layers=coarse),))
+    with pytest.raises(SearchError, match=r"cells of 0\.2 m"):
+        prepare(odd, SCORING)
