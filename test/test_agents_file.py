@@ -52,6 +52,11 @@ def test_processes_get_their_arguments_from_the_file() -> None:
     assert "agents:=[/a, /b]" in merger
 
 
+def test_an_id_that_is_not_its_namespace_is_told_to_the_merger() -> None:
+    fleet = parse_agents({"agents": [{"id": "left", "namespace": "/fleet/r1"}]})
+    assert "agents:=[left=/fleet/r1]" in merger_arguments(fleet)
+
+
 @pytest.mark.parametrize(
     ("tree", "message"),
     [

@@ -187,8 +187,7 @@ def tilted_map() -> TopometricMap:
 
 
 def test_markers_show_every_room_and_passage_in_the_agents_own_frame() -> None:
-    colours = np.zeros((2, 3), np.uint8)
-    markers = map_markers(tilted_map(), colours, Time()).markers
+    markers = map_markers(tilted_map(), Time()).markers
     assert markers[0].action == Marker.DELETEALL
     rooms = [m for m in markers if m.ns == "rooms"]
     assert [(m.id, m.pose.position.x, m.pose.position.z) for m in rooms] == [(4, 0, 1), (7, 1, 1)]

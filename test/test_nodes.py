@@ -126,7 +126,7 @@ def test_two_robots_recorded_scans_become_one_global_map(own: Graph, start: Any)
     assert maps.last.voxel_count > 0
     assert len(maps.last.rooms) > 0
 
-    placed = wait_for(lambda: placements(transforms, "map", names), 5.0, "/tf of both", processes)
+    placed = wait_for(lambda: placements(transforms, names), 5.0, "/tf of both", processes)
     metres, degrees = difference(np.linalg.inv(placed["robot1"]) @ placed["robot2"], T_true)
     assert metres < 0.15
     assert degrees < 1.0
@@ -139,13 +139,13 @@ def service(name: str) -> Any:
     return getattr(topometric_msgs.srv, name)
 
 
-def placements(transforms: Any, frame: str, agents: tuple[str, ...]) -> dict[str, Any] | None:
+def placements(transforms: Any, agents: tuple[str, ...]) -> dict[str, Any] | None:
     """Return the newest transform of each agent to the global frame, once all are there."""
     found = {
         entry.child_frame_id.split("/")[0]: matrix(entry.transform)
         for message in list(transforms.messages)
         for entry in message.transforms
-        if entry.header.frame_id == frame
+        if entry.header.frame_id == "global"
     }
     return found if set(found) == set(agents) else None
 

@@ -10,8 +10,8 @@ from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from topometric_ros.io.summaries import room_colours
 from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.voxels.palette import room_colours
 
 _POINT = np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), ("rgb", "u4"), ("label", "i4")])
 

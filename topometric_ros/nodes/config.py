@@ -5,11 +5,11 @@ Free of rclpy, so that the reference and the YAML files are made where ROS is no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from topometric_ros.configuration import parameter
-
-PRESETS = ("default", "thesis")
+from topometric_ros.extraction.config import PRESETS
+from topometric_ros.matching.config import MatchingConfig
 
 
 @dataclass(frozen=True)
@@ -33,17 +33,23 @@ class ExtractorNodeConfig:
         choices=("auto", "reliable", "best_effort"),
     )
     map_frame: str = parameter(
-        "", "Frame of the map that scans are placed in; empty: the root of their TF tree."
+        "",
+        "Frame of the map that scans are placed in; empty: the one named map, or /tf's root.",
     )
     max_rate: float = parameter(
         0.5, "Extractions a second at most.", unit="Hz", minimum=0.001, maximum=100.0
     )
     scan_queue: int = parameter(
         200,
-        "Scans that may wait while a map is extracted; then the oldest are dropped and counted.",
+        "Scans that may wait, for a running extraction or for /tf; then the oldest are dropped.",
         minimum=1,
         maximum=100_000,
     )
+    tf_history: float = parameter(
+        120.0, "How far back transforms are kept.", unit="s", minimum=1.0, maximum=100_000.0
+    )
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    """Of the rooms' descriptors, which the merger compares: set it alike everywhere."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,6 @@ class MergerNodeConfig:
     preset: str = parameter(
         "default", "Defaults of all parameters of the merging.", choices=PRESETS
     )
-    global_frame: str = parameter("map", "Frame of the global map.")
     max_rate: float = parameter(
         0.5, "Merges a second at most.", unit="Hz", minimum=0.001, maximum=100.0
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from topometric_ros.nodes.diagnostics import Level, Status
 from topometric_ros.topometric_map import TopometricMap
@@ -10,16 +11,14 @@ from topometric_ros.topometric_map import TopometricMap
 
 @dataclass
 class ExtractorReport:
-    """Counts since the start; `refusal` is why the last cloud was refused, until a good one."""
+    """What happened since the start; `refusal` is why the last cloud was refused, if it was."""
 
     received: int = 0
     refused: int = 0
-    points_dropped: int = 0
     refusal: str = ""
     failure: str = ""
     published: TopometricMap | None = None
     cpu_s: float = 0.0
-    extra: dict[str, object] = field(default_factory=dict)
 
     def refuse(self, reason: str) -> bool:
         """Count a cloud that cannot be used; return whether the reason is a new one."""
@@ -28,25 +27,22 @@ class ExtractorReport:
         self.refusal = reason
         return is_new
 
-    def statuses(self, node: str, publishers: int, skipped: int) -> list[Status]:
-        """Return the statuses of input and map for `/diagnostics`."""
-        return [self._input(node, publishers, skipped), self._map(node)]
+    def extracted(self, topometric_map: TopometricMap, cpu_s: float) -> None:
+        """Note a map that was published and the CPU time that it took."""
+        self.published, self.cpu_s, self.failure = topometric_map, cpu_s, ""
 
-    def _input(self, node: str, publishers: int, skipped: int) -> Status:
+    def statuses(self, node: str, numbers: Mapping[str, object]) -> list[Status]:
+        """Return the statuses of input and map for `/diagnostics`; `numbers` are of the input."""
+        return [self._input(node, numbers), self._map(node)]
+
+    def _input(self, node: str, numbers: Mapping[str, object]) -> Status:
         level, message = Level.OK, f"{self.received} clouds received"
         if self.refusal:
             level, message = Level.ERROR, f"last cloud refused: {self.refusal}"
         elif not self.received:
             level = Level.WARN
-            message = "no cloud yet" if publishers else "nobody publishes the cloud topic"
-        values = {
-            "received": self.received,
-            "refused": self.refused,
-            "skipped": skipped,
-            "non-finite points dropped": self.points_dropped,
-            "publishers": publishers,
-            **self.extra,
-        }
+            message = "no cloud yet" if numbers["publishers"] else "nobody publishes the topic"
+        values = {"received": self.received, "refused": self.refused, **numbers}
         return Status(f"{node}: input", level, message, values)
 
     def _map(self, node: str) -> Status:

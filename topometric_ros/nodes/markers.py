@@ -12,6 +12,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from topometric_ros.topometric_map import Room, TopometricMap
+from topometric_ros.voxels.palette import room_colours
 
 _ROOM_DIAMETER = 0.4
 _TEXT_HEIGHT = 0.35
@@ -21,17 +22,13 @@ _PASSAGE_EDGE = 0.25
 Vector = Sequence[float] | NDArray[np.float64]
 
 
-def map_markers(
-    topometric_map: TopometricMap, colours: NDArray[np.uint8], stamp: Time
-) -> MarkerArray:
+def map_markers(topometric_map: TopometricMap, stamp: Time) -> MarkerArray:
     """Return the markers of a map in its `frame_id`.
 
     Parameters
     ----------
     topometric_map
         Partial or global map.
-    colours
-        (R, 3) uint8, the colour of each room, in the map's order.
     stamp
         Stamp of every marker.
 
@@ -42,6 +39,7 @@ def map_markers(
         passages and lines from each passage to its two rooms.
     """
     sketch = _Sketch(topometric_map, stamp)
+    colours = room_colours([room.id for room in topometric_map.rooms])
     array = MarkerArray(markers=[sketch.clear()])
     for room, colour in zip(topometric_map.rooms, colours, strict=True):
         array.markers.append(sketch.room(room, colour))

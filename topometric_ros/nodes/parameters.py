@@ -6,6 +6,7 @@ twice. A parameter file that was dumped from a running node starts it again.
 
 from __future__ import annotations
 
+import array
 import sys
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
@@ -34,7 +35,13 @@ def override(node: Node, name: str, default: Any) -> Any:
 
     The node must be made with `automatically_declare_parameters_from_overrides`.
     """
-    return node.get_parameter(name).value if node.has_parameter(name) else default
+    value = node.get_parameter(name).value if node.has_parameter(name) else default
+    return value.tolist() if isinstance(value, array.array) else value
+
+
+def infos(configs: Sequence[Any]) -> list[ParameterInfo]:
+    """Return what is known of every parameter of some configurations, in order."""
+    return [info for config in configs for info, _ in parameters(config)]
 
 
 def declare(node: Node, configs: Sequence[Any], fixed: Collection[str]) -> Configs:
@@ -54,12 +61,12 @@ def declare(node: Node, configs: Sequence[Any], fixed: Collection[str]) -> Confi
     ConfigurationError
         An override has a wrong type or lies outside its range.
     """
-    infos = [info for config in configs for info, _ in parameters(config)]
-    overrides = {info.name: override(node, info.name, info.default) for info in infos}
+    known = infos(configs)
+    overrides = {info.name: override(node, info.name, info.default) for info in known}
     updated = _updated(configs, overrides)
-    _warn_of_unknown(node, {info.name for info in infos})
+    _warn_of_unknown(node, {info.name for info in known})
     values = [value for config in updated for _, value in parameters(config)]
-    for info, value in zip(infos, values, strict=True):
+    for info, value in zip(known, values, strict=True):
         if node.has_parameter(info.name):
             node.undeclare_parameter(info.name)
         node.declare_parameter(
@@ -79,7 +86,7 @@ def on_change(node: Node, configs: Configs, changed: Callable[[Configs], None]) 
     present = [configs]
 
     def check(changes: list[Parameter]) -> SetParametersResult:
-        known = {info.name for config in configs for info, _ in parameters(config)}
+        known = {info.name for info in infos(configs)}
         values = {p.name: p.value for p in changes if p.name in known}
         if not values:
             return SetParametersResult(successful=True)

@@ -20,8 +20,8 @@ class Inbox(Generic[ItemT]):
     """
 
     def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
         self._items: deque[ItemT] = deque()
-        self._capacity = capacity
         self._lock = threading.Lock()
         self._dropped = 0
 
@@ -36,7 +36,7 @@ class Inbox(Generic[ItemT]):
     def put(self, item: ItemT) -> None:
         """Add an item; the oldest leaves when the inbox is full."""
         with self._lock:
-            while len(self._items) >= self._capacity:
+            while len(self._items) >= self.capacity:
                 self._items.popleft()
                 self._dropped += 1
             self._items.append(item)

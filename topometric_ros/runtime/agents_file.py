@@ -10,7 +10,7 @@
       params: {}                 # parameters of every extractor
     merger:
       namespace: ""              # default: none
-      params: {global_frame: map}
+      params: {global_frame: global}
 
 A file says everything that a process needs: :func:`extractor_arguments` and
 :func:`merger_arguments` turn it into the ROS arguments of the executables.
@@ -118,6 +118,17 @@ def parse_agents(tree: Any, where: str = "agents file") -> AgentsFile:
     )
 
 
+def agent_of_namespace(namespace: str) -> str:
+    """Return the id of an agent that is known by its namespace only.
+
+    Examples
+    --------
+    >>> agent_of_namespace("/fleet/robot1")
+    'fleet_robot1'
+    """
+    return namespace.strip("/").replace("/", "_")
+
+
 def extractor_arguments(fleet: AgentsFile, agent: AgentEntry) -> list[str]:
     """Return the arguments with which `topometric-extractor` becomes this agent's extractor."""
     params = {
@@ -137,8 +148,14 @@ def merger_arguments(fleet: AgentsFile) -> list[str]:
     arguments = ["--ros-args"]
     if fleet.merger_namespace:
         arguments += ["-r", f"__ns:={fleet.merger_namespace}"]
-    namespaces = [agent.namespace for agent in fleet.agents]
-    return arguments + _parameter_arguments({**fleet.merger_params, "agents": namespaces})
+    agents = [_merger_entry(agent) for agent in fleet.agents]
+    return arguments + _parameter_arguments({**fleet.merger_params, "agents": agents})
+
+
+def _merger_entry(agent: AgentEntry) -> str:
+    """Return an agent as the merger's parameter `agents` names it."""
+    told = agent_of_namespace(agent.namespace) == agent.id
+    return agent.namespace if told else f"{agent.id}={agent.namespace}"
 
 
 def _parameter_arguments(params: Mapping[str, Any]) -> list[str]:
