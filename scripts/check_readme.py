@@ -33,7 +33,7 @@ def main() -> int:
         line = text.count("\n", 0, match.start()) + 1
         start = time.monotonic()
         status = _run(match[1], match[2])
-        print(f"{name}:{line}: {match[1]} block, {time.monotonic() - start:.0f} s")
+        print(f"{name}:{line}: {match[1]} block, {time.monotonic() - start:.0f} s", flush=True)
         if status:
             print(f"{name}:{line}: the block failed with status {status}", file=sys.stderr)
             return 1
