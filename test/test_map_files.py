@@ -23,7 +23,7 @@ from topometric_ros.io.map_files import (
     save_map,
 )
 from topometric_ros.io.ply import read_ply_points
-from topometric_ros.io.summaries import map_summary, room_colours, write_rooms_ply
+from topometric_ros.io.summaries import map_summary, write_rooms_ply
 
 WHOLE = encode_map(random_map())
 
@@ -170,12 +170,6 @@ def test_rooms_ply_lies_in_the_frame_of_the_input(tmp_path: Path) -> None:
         ["int", "room"],
         *(["uchar", channel] for channel in ("red", "green", "blue")),
     ]
-
-
-def test_rooms_have_colours_of_their_own() -> None:
-    colours = room_colours(np.arange(-1, 30, dtype=np.int32))
-    assert len(np.unique(colours, axis=0)) == 31
-    np.testing.assert_array_equal(room_colours(np.array([5], np.int32))[0], colours[6])
 
 
 def with_header(**changes: object) -> bytes:

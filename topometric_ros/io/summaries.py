@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 import json
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,8 @@ from numpy.typing import NDArray
 
 from topometric_ros.io.map_format import MapFileError
 from topometric_ros.io.ply import write_ply
-from topometric_ros.topometric_map import NO_ROOM, TopometricMap
-
-_GREY = (128, 128, 128)
+from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.voxels.palette import room_colours
 
 
 def write_map_summary(path: Path, topometric_map: TopometricMap) -> None:
@@ -63,20 +61,6 @@ def write_rooms_ply(
     if observed_by is not None:
         vertices["agent"] = observed_by.view(np.int32)
     write_ply(path, vertices)
-
-
-def room_colours(room: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """Return a colour for each room id (N,): (N, 3) uint8, grey for voxels without a room.
-
-    Hues follow the golden ratio, so that consecutive ids differ clearly and an id keeps its colour.
-    """
-    ids, which = np.unique(room, return_inverse=True)
-    table = np.empty((len(ids), 3), np.uint8)
-    for row, room_id in enumerate(ids.tolist()):
-        hue = (0.1 + room_id * 0.618033988749895) % 1.0
-        strong = colorsys.hsv_to_rgb(hue, 0.55 + 0.3 * (room_id % 2), 0.95)
-        table[row] = _GREY if room_id == NO_ROOM else [round(255 * part) for part in strong]
-    return table[which]
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -190,7 +190,7 @@ class MergerSession:
             The agents are not two that the merger knows.
         """
         self._require_pair(a, b)
-        return any([self._fixed.pop(pair, None) for pair in ((a, b), (b, a))])
+        return any(self._fixed.pop(pair, None) for pair in ((a, b), (b, a)))
 
     def fixed(self) -> dict[Pair, Alignment]:
         """Return the alignments that were set by hand."""
@@ -273,7 +273,9 @@ class MergerSession:
         """Return what aligning makes of a map, once for each version of it."""
         prepared = self._prepared.get(m.agent)
         if prepared is None or prepared.map is not m:
-            prepared = self._prepared[m.agent] = Prepared(m, self.config.search.scoring)
+            prepared = self._prepared[m.agent] = Prepared(
+                m, self.config.search.scoring, self.config.matching
+            )
         return prepared
 
     def _fixed_for(self, pair: Pair) -> Alignment | None:

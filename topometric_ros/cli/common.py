@@ -1,0 +1,99 @@
+"""What the subcommands share: common arguments, progress on a terminal, results on stdout."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from topometric_ros.runtime.agent_input import MODES
+from topometric_ros.runtime.config import ToolConfig, load_config, with_voxel_size
+from topometric_ros.runtime.sources import InputOptions
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the arguments that every command on recorded data has."""
+    command.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="OUT", help="folder to write to"
+    )
+    command.add_argument(
+        "--config",
+        default="default",
+        metavar="F",
+        help="YAML file, or a preset: default or thesis",
+    )
+    command.add_argument(
+        "--voxel-size", type=float, metavar="M", help="edge of a voxel in metres (default 0.1)"
+    )
+    command.add_argument(
+        "--up", choices=("x", "y", "z"), default="z", help="axis of the clouds that points up"
+    )
+    command.add_argument(
+        "--mode",
+        choices=MODES,
+        default="auto",
+        help="whether a bag's clouds are whole maps or single scans; auto: scans where /tf leads "
+        "from their frame to the map's",
+    )
+    command.add_argument(
+        "--map-frame",
+        default="",
+        metavar="FRAME",
+        help="frame in which a bag's scans are gathered; by default the root of their TF tree",
+    )
+    command.add_argument("--seed", type=int, default=0, help="of the session ids (default 0)")
+    command.add_argument("--json", action="store_true", help="print the result on stdout as JSON")
+    add_verbose(command)
+
+
+def add_verbose(command: argparse.ArgumentParser) -> None:
+    """Add the argument that every command has."""
+    command.add_argument("-v", "--verbose", action="store_true", help="say more on stderr")
+
+
+def config_of(options: argparse.Namespace) -> ToolConfig:
+    """Return the configuration that `--config` and `--voxel-size` name."""
+    return with_voxel_size(load_config(options.config), options.voxel_size)
+
+
+def inputs_of(options: argparse.Namespace) -> InputOptions:
+    """Return how the inputs are to be read."""
+    return InputOptions(options.up, options.mode, options.map_frame, options.seed)
+
+
+def output_folder(options: argparse.Namespace) -> Path:
+    """Make the folder to write to, unless it is there."""
+    folder: Path = options.output
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def progress_of(options: argparse.Namespace) -> Callable[[str], None]:
+    """Return what says on a terminal what is being done, and nothing in a pipe or a file."""
+    if not sys.stderr.isatty() or options.verbose:
+        return lambda text: None
+    return lambda text: print(f"\r\033[K{text} …", end="", file=sys.stderr, flush=True)
+
+
+def finish_progress(options: argparse.Namespace) -> None:
+    """Clear the line of progress."""
+    if sys.stderr.isatty() and not options.verbose:
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def report(options: argparse.Namespace, content: Mapping[str, Any], lines: Iterable[str]) -> None:
+    """Print the result: JSON where it was asked for, else lines for a person."""
+    finish_progress(options)
+    if options.json:
+        print(json.dumps(content, allow_nan=False))
+        return
+    for line in lines:
+        print(line)
+
+
+def warning_lines(warnings: Iterable[str]) -> list[str]:
+    """Return warnings as lines for a person."""
+    return [f"warning: {warning}" for warning in warnings]

@@ -1,0 +1,68 @@
+"""The `topometric` command: arguments in, an exit status out; the work is done elsewhere.
+
+Exit status 0: done, also where nothing could be aligned. 2: bad input, told in one line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+
+from topometric_ros.cli import extract, merge, replay, run
+from topometric_ros.errors import TopometricError
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+_COMMANDS = (extract, merge, replay, run)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command that the arguments name and return its exit status."""
+    options = parser().parse_args(arguments)
+    _log(options.verbose)
+    try:
+        return int(options.command(options))
+    except TopometricError as error:
+        return _fail(str(error))
+    except BrokenPipeError:
+        # The reader of our output has gone; Python's own flush at exit must not complain again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}")
+    except KeyboardInterrupt:
+        _fail("interrupted")
+        return INTERRUPTED
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    top = argparse.ArgumentParser(
+        prog="topometric",
+        description="Rooms and passages from point clouds, and one map from those of many agents.",
+    )
+    commands = top.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for module in _COMMANDS:
+        module.add_parser(commands)
+    return top
+
+
+def _log(verbose: bool) -> None:
+    """Send warnings, or everything, to stderr, each on one line."""
+    level = logging.INFO if verbose else logging.ERROR
+    logging.basicConfig(level=level, format="%(name)s: %(message)s", stream=sys.stderr, force=True)
+
+
+def _fail(message: str) -> int:
+    """Print one line on stderr and return the exit status of bad input."""
+    print(f"topometric: error: {' '.join(message.split())}", file=sys.stderr)
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,93 @@
+"""`topometric merge`: one global map from the maps or clouds of two or more agents."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from topometric_ros.alignment import MergeResult
+from topometric_ros.cli.common import (
+    add_arguments,
+    config_of,
+    inputs_of,
+    output_folder,
+    progress_of,
+    report,
+    warning_lines,
+)
+from topometric_ros.errors import TopometricError
+from topometric_ros.fusion.merge import merge as merge_maps
+from topometric_ros.io.merge_files import merge_summary, rounded_timings, write_merge_files
+from topometric_ros.io.summaries import write_json
+from topometric_ros.runtime.sources import load_sources
+from topometric_ros.topometric_map import TopometricMap
+
+
+class MergeArgumentError(TopometricError):
+    """Too few agents to merge."""
+
+
+def add_parser(commands: Any) -> None:
+    """Add this command to the parser."""
+    command = commands.add_parser(
+        "merge",
+        help="one global map from the maps of several agents",
+        description="Write OUT/merge.json, global.ply, global.tmap, report.html and timings.json. "
+        "The exit status is 0 also where nothing could be aligned.",
+    )
+    command.add_argument(
+        "sources",
+        nargs="+",
+        metavar="[ID=]SOURCE",
+        help="two or more clouds, bags (BAG[:TOPIC]) or .tmap files; the first is the anchor",
+    )
+    add_arguments(command)
+    command.set_defaults(command=merge)
+
+
+def merge(options: argparse.Namespace) -> int:
+    """Load every source, merge the maps and write the result."""
+    if len(options.sources) < 2:
+        raise MergeArgumentError(
+            f"merging takes at least two sources, got {len(options.sources)}: {options.sources[0]}"
+        )
+    config, progress = config_of(options), progress_of(options)
+    loaded = load_sources(options.sources, config, inputs_of(options), progress)
+    timings: dict[str, float] = {}
+    for entry in loaded:
+        for stage, seconds in entry.timings.items():
+            timings[f"extract.{stage}"] = timings.get(f"extract.{stage}", 0.0) + seconds
+    maps = [entry.map for entry in loaded]
+    sources = {entry.map.agent: entry.source for entry in loaded}
+    result = merge_maps(maps, config.merge, sources=sources, progress=progress)
+    timings |= result.timings
+    folder = output_folder(options)
+    progress("writing the report")
+    write_result(folder, result, maps, timings)
+    content = {**merge_summary(result), "timings": rounded_timings(timings)}
+    report(options, content, [*result_lines(result), f"written to {folder}"])
+    return 0
+
+
+def write_result(
+    folder: Path, result: MergeResult, maps: list[TopometricMap], timings: dict[str, float]
+) -> None:
+    """Write the files of a merge with the report."""
+    from topometric_ros.visualization.report import write_report  # Imports matplotlib.
+
+    write_merge_files(folder, result)
+    write_json(folder / "timings.json", rounded_timings(timings))
+    write_report(result, maps, folder / "report.html")
+
+
+def result_lines(result: MergeResult) -> Iterator[str]:
+    """Yield the result as lines for a person."""
+    for agent in result.agents:
+        yield f"{agent.id}: {agent.status} ({agent.reason})"
+    for alignment in result.alignments:
+        yield f"{' - '.join(alignment.agents)}: {alignment.status}: {alignment.reason}"
+        if alignment.accepted and alignment.T_a_b is not None:
+            yield from ("  " + "  ".join(f"{v: 10.5f}" for v in row) for row in alignment.T_a_b)
+    yield from warning_lines(result.warnings)

@@ -1,0 +1,132 @@
+"""`topometric run`: an extractor for every agent of a file and a merger, as processes.
+
+What the launch file does, where `launch` is not installed. SIGINT and SIGTERM end all of them;
+so does the end of any one. Nothing is restarted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from topometric_ros.cli.common import add_verbose
+from topometric_ros.errors import TopometricError
+from topometric_ros.runtime.agents_file import (
+    extractor_arguments,
+    merger_arguments,
+    read_agents_file,
+)
+
+_POLL_S = 0.2
+_GRACE_S = 10.0
+
+
+class RunError(TopometricError):
+    """The fleet's processes cannot be started."""
+
+
+def add_parser(commands: Any) -> None:
+    """Add this command to the parser."""
+    command = commands.add_parser(
+        "run",
+        help="start the extractors and the merger of an agents file",
+        description="Start one extractor an agent and a merger, and end them together. The exit "
+        "status is 0 after SIGINT or SIGTERM, 1 where a process ended by itself.",
+    )
+    command.add_argument("agents", type=Path, metavar="AGENTS.yaml", help="the agents file")
+    add_verbose(command)
+    command.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Start the fleet and wait for its end."""
+    fleet = read_agents_file(options.agents)
+    commands = {
+        f"extractor of {agent.id}": [
+            *_executable("topometric-extractor", "extractor"),
+            *extractor_arguments(fleet, agent),
+        ]
+        for agent in fleet.agents
+    }
+    commands["merger"] = [
+        *_executable("topometric-merger", "merger"),
+        *merger_arguments(fleet),
+    ]
+    return _Fleet(commands).run()
+
+
+def _executable(name: str, module: str) -> list[str]:
+    """Return how to start a node: the script beside this Python, on the PATH, or the module."""
+    beside = Path(sys.executable).with_name(name)
+    found = str(beside) if beside.exists() else shutil.which(name)
+    return [found] if found else [sys.executable, "-m", f"topometric_ros.nodes.{module}"]
+
+
+class _Fleet:
+    """Processes that live and end together."""
+
+    def __init__(self, commands: Mapping[str, Sequence[str]]) -> None:
+        self._commands = commands
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._stopping = False
+
+    def run(self) -> int:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._stop)
+        try:
+            self._start()
+            ended = self._wait()
+        finally:
+            self._end()
+        if self._stopping:
+            return 0
+        print(f"topometric: {ended}; the others were ended", file=sys.stderr)
+        return 1
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self._stopping = True
+
+    def _start(self) -> None:
+        for name, command in self._commands.items():
+            try:
+                # A session of its own: Ctrl-C reaches the processes once, from here, in order.
+                self._processes[name] = subprocess.Popen(command, start_new_session=True)
+            except OSError as error:
+                raise RunError(f"{name}: cannot be started: {error}") from error
+            print(f"topometric: {name}: process {self._processes[name].pid}", file=sys.stderr)
+
+    def _wait(self) -> str:
+        """Wait for a signal or the first end of a process; return what happened in words."""
+        while not self._stopping:
+            for name, process in self._processes.items():
+                if process.poll() is not None:
+                    return f"{name} ended with {_status(process.returncode)}"
+            time.sleep(_POLL_S)
+        return "stopped"
+
+    def _end(self) -> None:
+        """Ask every process to end, and kill what does not within the time of grace."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        limit = time.monotonic() + _GRACE_S
+        for name, process in self._processes.items():
+            try:
+                process.wait(max(0.1, limit - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                print(f"topometric: {name} did not end; killed", file=sys.stderr)
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+
+def _status(code: int) -> str:
+    return f"signal {signal.Signals(-code).name}" if code < 0 else f"status {code}"

@@ -1,0 +1,147 @@
+"""From a word on the command line to a topometric map: clouds, bags and map files alike."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from topometric_ros.io.bags import is_bag
+from topometric_ros.io.clouds import read_cloud, up_rotation
+from topometric_ros.io.map_files import load_map
+from topometric_ros.runtime.agent_input import AgentInput
+from topometric_ros.runtime.bag_input import BagInput
+from topometric_ros.runtime.bag_sources import (
+    BagSource,
+    Source,
+    SourceError,
+    one_bag_source,
+    parse_source,
+    require_distinct,
+)
+from topometric_ros.runtime.config import ToolConfig
+from topometric_ros.runtime.extract_map import extract_map
+from topometric_ros.runtime.extractor_session import ExtractorSession
+from topometric_ros.topometric_map import TopometricMap
+
+MAP_SUFFIX = ".tmap"
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """How inputs are to be read: the axis that points up, the mode, the map's frame, the seed."""
+
+    up: str = "z"
+    mode: str = "auto"
+    map_frame: str = ""
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class LoadedMap:
+    """One source's map; `timings` holds CPU seconds by stage where it was extracted."""
+
+    map: TopometricMap
+    source: str
+    timings: dict[str, float] = field(default_factory=dict)
+
+
+def load_sources(
+    texts: list[str],
+    config: ToolConfig,
+    options: InputOptions,
+    progress: Callable[[str], None],
+) -> list[LoadedMap]:
+    """Return the map of every source, in their order.
+
+    Raises
+    ------
+    TopometricError
+        A source cannot be read, or two of them have one name.
+    """
+    sources = [_named(parse_source(text)) for text in texts]
+    require_distinct([source.agent or "" for source in sources])
+    return [load_source(source, config, options, progress) for source in sources]
+
+
+def load_source(
+    source: Source,
+    config: ToolConfig,
+    options: InputOptions,
+    progress: Callable[[str], None],
+) -> LoadedMap:
+    """Return the map of one source; raises TopometricError as :func:`load_sources`."""
+    if source.path.suffix.lower() == MAP_SUFFIX:
+        m = load_map(source.path)
+        return LoadedMap(dataclasses.replace(m, agent=source.agent or m.agent), source.text)
+    if is_bag(source.path):
+        return load_bag_source(one_bag_source(source), config, options, progress)
+    if source.topic is not None and not Path(source.path).exists():
+        raise SourceError(f"{source.text}: no such file")
+    progress(f"reading {source.path}")
+    cloud = read_cloud(source.path, options.up)
+    agent = source.agent or source.path.stem
+    progress(f"extracting {agent} ({len(cloud.points):,} points)")
+    result = extract_map(
+        cloud.points,
+        config.extraction,
+        config.merge.matching,
+        T_up_input=cloud.T_up_input,
+        warnings=cloud.warnings,
+        agent=agent,
+        session=session_id(options.seed, agent, 0),
+        sequence=1,
+    )
+    return LoadedMap(result.map, source.text, result.timings)
+
+
+def load_bag_source(
+    source: BagSource,
+    config: ToolConfig,
+    options: InputOptions,
+    progress: Callable[[str], None],
+) -> LoadedMap:
+    """Play one agent's bag to its end and return the map; raises TopometricError."""
+    reader = bag_input(source, config, options)
+    progress(f"reading {source.text}")
+    reader.load_transforms()
+    for entry in reader.messages():
+        reader.take(entry)
+    reader.require_input()
+    if reader.map is not None:
+        return LoadedMap(dataclasses.replace(reader.map, agent=source.agent), source.text)
+    progress(f"extracting {source.agent}")
+    result = reader.agent_input.session.extract()
+    m = dataclasses.replace(result.map, warnings=(*reader.warnings(), *result.map.warnings))
+    return LoadedMap(m, source.text, result.timings)
+
+
+def bag_input(source: BagSource, config: ToolConfig, options: InputOptions) -> BagInput:
+    """Return a bag's source with a session of its own."""
+    count = iter(range(1 << 30))
+    session = ExtractorSession(
+        source.agent,
+        config.extraction,
+        config.merge.matching,
+        lambda: session_id(options.seed, source.agent, next(count)),
+        up_rotation(options.up),
+    )
+    return BagInput(source, AgentInput(session, options.mode, options.map_frame))
+
+
+def session_id(seed: int, agent: str, count: int) -> str:
+    """Return a session's id that depends on nothing but these: 12 hexadecimal digits."""
+    return hashlib.sha256(f"{seed}/{agent}/{count}".encode()).hexdigest()[:12]
+
+
+def _named(source: Source) -> Source:
+    """Return the source with its agent's id: as given, else the map's or topic's, else the stem."""
+    if source.agent is not None:
+        return source
+    if source.path.suffix.lower() == MAP_SUFFIX:
+        return dataclasses.replace(source, agent=load_map(source.path).agent or source.path.stem)
+    if is_bag(source.path):
+        return dataclasses.replace(source, agent=one_bag_source(source).agent)
+    return dataclasses.replace(source, agent=source.path.stem)
