@@ -210,7 +210,8 @@ def _alignment_section(
         f"<h2>{text(first)} ↔ {text(second)} {pill(*_STATUS[alignment.status])}</h2>",
         '<section class="card">',
         f"<p>{text(_sentence(alignment.reason))}</p>",
-        "" if T is None else tiles(_alignment_numbers(alignment)),
+        # With two agents the verdict above says the numbers already.
+        "" if T is None or len(names) == 2 else tiles(_alignment_numbers(alignment)),
     ]
     caption = "Walls that one agent alone saw keep its colour; red walls contradict free floor."
     best = _best_alternative(alignment)

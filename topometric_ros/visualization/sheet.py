@@ -69,8 +69,8 @@ def bounds_of(places: NDArray[np.float64]) -> tuple[float, float, float, float]:
 
 def room_image(
     rooms: NDArray[np.int32], colours: Mapping[int, Sequence[float]] | None = None
-) -> NDArray[Any]:
-    """Return room ids (nx, ny) as an image (nx, ny, 4) float, 0..1, in pale colours.
+) -> NDArray[np.uint8]:
+    """Return room ids (nx, ny) as an image (nx, ny, 4) uint8 in pale colours.
 
     With `colours`, rooms that it does not name are grey.
     """
@@ -82,7 +82,7 @@ def room_image(
             table[row] = (0.93, 0.93, 0.93, 0.0 if room == UNSEEN else 1.0)
         elif colours is not None:
             table[row, :3] = colours.get(room, (0.86, 0.87, 0.88))
-    return table[inverse].reshape(*rooms.shape, 4)
+    return np.round(table * 255).astype(np.uint8)[inverse].reshape(*rooms.shape, 4)
 
 
 class Sheet:
@@ -109,13 +109,13 @@ class Sheet:
 
     def raster(
         self,
-        image: NDArray[Any],
+        image: NDArray[np.uint8],
         origin: tuple[float, float],
         cell: float,
         pose: Pose,
         order: float = 1.0,
     ) -> None:
-        """Draw an image (nx, ny, 4), 0..1, whose first cell is centred at `origin`, m."""
+        """Draw an image (nx, ny, 4) uint8 whose first cell is centred at `origin`, m."""
         self._axes.imshow(
             np.swapaxes(image, 0, 1),
             extent=raster_extent(image.shape, origin, cell),
@@ -139,8 +139,8 @@ class Sheet:
 
         factor = refinement(mask.shape)
         fine = smooth_mask(mask, factor)
-        image = np.zeros((*fine.shape, 4))
-        image[fine] = to_rgba(colour)
+        image = np.zeros((*fine.shape, 4), dtype=np.uint8)
+        image[fine] = np.round(np.array(to_rgba(colour)) * 255)
         self.raster(image, fine_origin(origin, cell, factor), cell / factor, pose, order)
 
     def rooms(
@@ -193,6 +193,7 @@ class Sheet:
 
     def number(self, place: Any, text: str, size: float = 8.0) -> None:
         """Draw a room's number on a white disk, wider where the number is long."""
+        shape = "circle,pad=0.3" if len(text) < 3 else "round,pad=0.3,rounding_size=0.9"
         self._axes.text(
             *place,
             text,
@@ -203,7 +204,7 @@ class Sheet:
             weight="bold",
             zorder=9,
             bbox={
-                "boxstyle": f"round,pad={0.28 if len(text) > 1 else 0.36},rounding_size=0.9",
+                "boxstyle": shape,
                 "facecolor": PAPER,
                 "edgecolor": INK,
                 "linewidth": 0.9,
