@@ -17,10 +17,9 @@ import yaml
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from topometric_ros.configuration import ParameterInfo, parameters  # noqa: E402
 from topometric_ros.extraction.config import extraction_preset  # noqa: E402
 from topometric_ros.fusion.config import merge_preset  # noqa: E402
-
-from topometric_ros.configuration import ParameterInfo, parameters  # noqa: E402
 from topometric_ros.nodes.config import PRESETS, ExtractorNodeConfig, MergerNodeConfig  # noqa: E402
 
 GENERATED = "Written by scripts/write_config.py from the configuration classes: change those."
@@ -56,7 +55,7 @@ def node_file(node: str, configs: Iterable[Any]) -> str:
 
 def preset_file(preset: str) -> str:
     """Return a preset as the YAML file that `--config` reads."""
-    lines = [f"# Preset `{preset}`. {GENERATED}", "", "extraction:"]
+    lines = [f"# Preset `{preset}`. {GENERATED}", "", f"preset: {preset}", "", "extraction:"]
     lines += _nested_lines(extraction_preset(preset), indent=2)
     lines += ["", "merge:"]
     lines += _nested_lines(merge_preset(preset), indent=2)

@@ -24,9 +24,7 @@ from builtin_interfaces.msg import Time
 from rclpy.parameter import Parameter
 from visualization_msgs.msg import Marker
 
-from topometric_ros.io.pointcloud2 import points_from_message
-from topometric_ros.nodes import parameters, qos, tf
-from topometric_ros.nodes.clouds import room_cloud
+from topometric_ros.nodes import parameters, qos
 from topometric_ros.nodes.diagnostics import Level, Status, to_message
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.worker import Inbox, Worker
@@ -194,24 +192,6 @@ def test_markers_show_every_room_and_passage_in_the_agents_own_frame() -> None:
     (edges,) = (m for m in markers if m.ns == "edges")
     assert [(p.x, p.z) for p in edges.points] == [(0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (0.5, 1.0)]
     assert {m.header.frame_id for m in markers} == {"a/map"}
-
-
-def test_the_room_cloud_reads_back_in_the_agents_own_frame() -> None:
-    cloud = room_cloud(tilted_map(), Time())
-    points, dropped = points_from_message(cloud)
-    np.testing.assert_allclose(points, [[0, 0, 1], [1, 0, 1]], atol=1e-6)
-    assert dropped == 0
-    assert [f.name for f in cloud.fields] == ["x", "y", "z", "rgb", "label"]
-
-
-def test_a_transform_message_names_parent_and_child() -> None:
-    T = np.eye(4)
-    T[:3, 3] = 1.0, 2.0, 3.0
-    T[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
-    message = tf.to_message("map", "a/map", T, Time(sec=4))
-    assert (message.header.frame_id, message.child_frame_id) == ("map", "a/map")
-    assert message.transform.translation.z == 3.0
-    assert message.transform.rotation.z == pytest.approx(np.sqrt(0.5))
 
 
 def test_diagnostics_carry_level_and_numbers() -> None:

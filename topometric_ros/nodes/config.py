@@ -9,7 +9,14 @@ from dataclasses import dataclass, field
 
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.config import PRESETS
-from topometric_ros.matching.config import MatchingConfig
+from topometric_ros.matching.config import DescriptorConfig
+
+
+@dataclass(frozen=True)
+class DescribingConfig:
+    """The part of the matching's parameters that describes rooms: set it alike in every node."""
+
+    descriptors: DescriptorConfig = field(default_factory=DescriptorConfig)
 
 
 @dataclass(frozen=True)
@@ -48,8 +55,7 @@ class ExtractorNodeConfig:
     tf_history: float = parameter(
         120.0, "How far back transforms are kept.", unit="s", minimum=1.0, maximum=100_000.0
     )
-    matching: MatchingConfig = field(default_factory=MatchingConfig)
-    """Of the rooms' descriptors, which the merger compares: set it alike everywhere."""
+    matching: DescribingConfig = field(default_factory=DescribingConfig)
 
 
 @dataclass(frozen=True)

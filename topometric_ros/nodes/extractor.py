@@ -8,34 +8,30 @@ import threading
 import time
 import uuid
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 from topometric_msgs.msg import TopometricMap as MapMessage
-from topometric_msgs.srv import ExtractNow, Reset, SaveMap
 from visualization_msgs.msg import MarkerArray
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.extraction.config import ExtractionConfig, extraction_preset
-from topometric_ros.io.map_files import save_map
 from topometric_ros.matching.config import matching_preset
 from topometric_ros.nodes import parameters, qos, tf
 from topometric_ros.nodes.cloud_subscription import CloudSubscription
-from topometric_ros.nodes.clouds import room_cloud
-from topometric_ros.nodes.config import ExtractorNodeConfig
+from topometric_ros.nodes.config import DescribingConfig, ExtractorNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
 from topometric_ros.nodes.extractor_report import ExtractorReport
+from topometric_ros.nodes.extractor_services import serve
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.messages import message_classes
 from topometric_ros.nodes.running import TopometricNode, log_to, run
 from topometric_ros.nodes.worker import Inbox, Worker
 from topometric_ros.runtime.agent_input import AgentInput
-from topometric_ros.runtime.extractor_session import ExtractorSession, SessionError
+from topometric_ros.runtime.cloud_message import map_cloud
+from topometric_ros.runtime.extractor_session import ExtractorSession
 from topometric_ros.runtime.message_codec import map_to_message
 
 _TRANSFORMS_WAITING = 100_000
@@ -52,8 +48,8 @@ _FIXED_OF_EXTRACTION = ("voxel_size", "level.")
 class Extractor(TopometricNode):
     """One agent's extractor: an :class:`ExtractorSession` with topics and services around it.
 
-    Subscriptions only fill the inboxes; the session belongs to whoever holds `_working`, the
-    worker's thread or a service's.
+    Subscriptions only fill the inboxes; `input` and its session belong to whoever holds `working`,
+    the worker's thread or a service's.
     """
 
     def __init__(self) -> None:
@@ -62,10 +58,11 @@ class Extractor(TopometricNode):
         self._own, extraction = self._declare_parameters()
         self._wanted = extraction
         agent = self._own.agent or self.get_namespace().strip("/").replace("/", "_") or "agent"
-        session = ExtractorSession(
-            agent, extraction, self._own.matching, lambda: uuid.uuid4().hex[:12]
+        matching = dataclasses.replace(
+            matching_preset(self._own.preset), descriptors=self._own.matching.descriptors
         )
-        self._input = AgentInput(
+        session = ExtractorSession(agent, extraction, matching, lambda: uuid.uuid4().hex[:12])
+        self.input = AgentInput(
             session,
             mode=self._own.mode,
             map_frame=self._own.map_frame,
@@ -73,22 +70,23 @@ class Extractor(TopometricNode):
             waiting=self._own.scan_queue,
         )
         self._classes = message_classes()
-        self._report = ExtractorReport()
-        self._working = threading.Lock()
-        self._fresh = False
+        self.report = ExtractorReport()
+        self.working = threading.Lock()
+        self.fresh = False
         self._last_extraction = -float("inf")
         self._first_cloud: float | None = None
-        self._clouds: Inbox[PointCloud2] = Inbox(self._own.scan_queue)
+        self.clouds: Inbox[PointCloud2] = Inbox(self._own.scan_queue)
         self._transforms: Inbox[tuple[TFMessage, bool]] = Inbox(_TRANSFORMS_WAITING)
         if self._own.mode == "map":
-            self._clouds.capacity = 1
-        self._worker = Worker(self._work, self._failed)
+            self.clouds.capacity = 1
+        self._worker = Worker(self._work, self.failed)
         self._connect()
         self.get_logger().info(f"extractor of {agent}: session {session.session}")
 
     def _declare_parameters(self) -> tuple[ExtractorNodeConfig, ExtractionConfig]:
         preset = parameters.override(self, "preset", "default")
-        own = ExtractorNodeConfig(matching=matching_preset(preset))
+        describing = DescribingConfig(matching_preset(preset).descriptors)
+        own = ExtractorNodeConfig(matching=describing)
         configs = (own, extraction_preset(preset))
         names = [info.name for info in parameters.infos(configs)]
         of_node = {info.name for info in parameters.infos((own,))}
@@ -103,13 +101,7 @@ class Extractor(TopometricNode):
         self._rooms = self.create_publisher(PointCloud2, "rooms", qos.SNAPSHOT)
         self._markers = self.create_publisher(MarkerArray, "topometric_markers", qos.SNAPSHOT)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
-        waiting = MutuallyExclusiveCallbackGroup()
-        for kind, name, answer in (
-            (ExtractNow, "~/extract_now", self._extract_now),
-            (Reset, "~/reset", self._reset),
-            (SaveMap, "~/save_map", self._save_map),
-        ):
-            self.create_service(kind, name, answer, callback_group=waiting)
+        serve(self)
         tf.listen(self, self._on_transforms)
         self._cloud = CloudSubscription(self, self._own.cloud_qos, self._on_cloud)
         self.create_timer(_PACE_S, self._tick)
@@ -125,138 +117,92 @@ class Extractor(TopometricNode):
     def _on_cloud(self, message: PointCloud2) -> None:
         if self._first_cloud is None:
             self._first_cloud = time.monotonic()
-        self._report.received += 1
-        self._clouds.put(message)
+        self.report.received += 1
+        self.clouds.put(message)
 
     def _on_transforms(self, message: TFMessage, static: bool) -> None:
         self._transforms.put((message, static))
 
     def _tick(self) -> None:
-        if len(self._clouds) or len(self._transforms) or self._fresh:
+        if len(self.clouds) or len(self._transforms) or self.fresh:
             self._worker.wake()
 
     def _work(self) -> None:
         """Take in what has arrived and, when it is time, extract and publish."""
-        with self._working:
-            self._take_in()
+        with self.working:
+            self.take_in()
             due = time.monotonic() - self._last_extraction >= 1.0 / self._own.max_rate
-            if self._fresh and due:
-                self._extract()
+            if self.fresh and due:
+                self.extract()
 
-    def _take_in(self, at_once: bool = False) -> None:
+    def take_in(self, at_once: bool = False) -> None:
         for transforms, static in self._transforms.take_all():
-            self._input.add_transforms(transforms, static)
+            self.input.add_transforms(transforms, static)
         if self._first_cloud is None:
             return
         # A scan that arrives before the first /tf would be taken for a map of one scan.
         settled = time.monotonic() - self._first_cloud >= _SETTLE_S
         if self._own.mode == "auto" and not (settled or at_once):
             return
-        for message in self._clouds.take_all():
+        for message in self.clouds.take_all():
             self._take_cloud(message)
-        if self._input.session.counts.map_clouds:
-            self._clouds.capacity = 1
+        if self.input.session.counts.map_clouds:
+            self.clouds.capacity = 1
 
     def _take_cloud(self, message: PointCloud2) -> None:
         try:
-            self._input.add_cloud(message)
+            self.input.add_cloud(message)
         except TopometricError as error:
-            if self._report.refuse(str(error)):
+            if self.report.refuse(str(error)):
                 self.get_logger().error(f"cloud refused: {error}")
             self._publish_diagnostics()
             return
-        self._report.refusal = ""
-        self._fresh = True
+        self.report.refusal = ""
+        self.fresh = True
 
-    def _extract(self) -> None:
+    def extract(self) -> None:
         """Extract and publish; raises what the session raises."""
-        session = self._input.session
+        session = self.input.session
         if not session.has_input:
             return
-        self._fresh = False
+        self.fresh = False
         self._last_extraction = time.monotonic()
         session.extraction = self._wanted
         result = session.extract()
         m = result.map
         stamp = Time(nanoseconds=m.stamp).to_msg()
         self._maps.publish(map_to_message(m, self._classes))
-        self._rooms.publish(room_cloud(m, stamp))
+        self._rooms.publish(map_cloud(m, self._classes, m.stamp))
         self._markers.publish(map_markers(m, stamp))
-        self._report.extracted(m, sum(result.timings.values()))
+        self.report.extracted(m, sum(result.timings.values()))
         self.get_logger().info(
             f"map {m.sequence}: {len(m.rooms)} rooms, {len(m.passages)} passages, "
-            f"{len(m.voxels)} voxels in {self._report.cpu_s:.1f} s of CPU time"
+            f"{len(m.voxels)} voxels in {self.report.cpu_s:.1f} s of CPU time"
         )
 
-    def _failed(self, error: Exception) -> None:
+    def failed(self, error: Exception) -> None:
         """Report what went wrong in the worker; the session keeps the map that it had."""
         text = str(error) if isinstance(error, TopometricError) else f"unexpected: {error!r}"
-        if text != self._report.failure:
+        if text != self.report.failure:
             self.get_logger().error(f"no map: {text}")
-        self._report.failure = text
+        self.report.failure = text
 
     def _publish_diagnostics(self) -> None:
-        session = self._input.session
+        session = self.input.session
         numbers: dict[str, object] = {
             "publishers": self._cloud.publishers,
             "quality of service": self._cloud.profile,
-            "superseded": self._clouds.dropped,
-            "without transform": self._input.skipped_count,
+            "superseded": self.clouds.dropped,
+            "without transform": self.input.skipped_count,
             "map clouds": session.counts.map_clouds,
             "scans": session.counts.scans,
             "non-finite points dropped": session.counts.dropped_points,
         }
-        if self._input.skipped:
-            numbers["last without transform"] = self._input.skipped[-1]
-        statuses = self._report.statuses(self.get_fully_qualified_name(), numbers)
+        if self.input.skipped:
+            numbers["last without transform"] = self.input.skipped[-1]
+        statuses = self.report.statuses(self.get_fully_qualified_name(), numbers)
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(to_message(statuses, session.agent, now))
-
-    def _extract_now(self, _request: Any, response: Any) -> Any:
-        with self._working:
-            try:
-                self._take_in(at_once=True)
-                self._extract()
-            except SessionError as error:
-                response.code, response.message = response.NO_INPUT, str(error)
-                return response
-            except Exception as error:
-                self._failed(error)
-                response.code, response.message = response.FAILED, self._report.failure
-                return response
-            m = self._input.session.map
-            if m is None:
-                response.code, response.message = response.NO_INPUT, "no cloud has arrived yet"
-                return response
-            response.code, response.message = response.SUCCESS, f"{len(m.rooms)} rooms"
-            response.sequence, response.rooms = m.sequence, len(m.rooms)
-        return response
-
-    def _reset(self, _request: Any, response: Any) -> Any:
-        with self._working:
-            self._clouds.take_all()
-            self._input.session.reset()
-            self._fresh = False
-            self._report = ExtractorReport()
-            response.session = self._input.session.session
-        response.code, response.message = response.SUCCESS, f"session {response.session} begins"
-        self.get_logger().info(response.message)
-        return response
-
-    def _save_map(self, request: Any, response: Any) -> Any:
-        m = self._input.session.map
-        if m is None:
-            response.code, response.message = response.NO_INPUT, "there is no map yet"
-            return response
-        path = Path(request.path).expanduser().absolute()
-        try:
-            save_map(path, dataclasses.replace(m))
-        except (OSError, TopometricError) as error:
-            response.code, response.message = response.FILE_ERROR, f"{path}: {error}"
-            return response
-        response.code, response.path = response.SUCCESS, str(path)
-        response.message = f"map {m.sequence} written to {path}"
-        return response
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

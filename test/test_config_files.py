@@ -1,0 +1,102 @@
+"""The files in config/ and the reference say what the configuration classes say."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from topometric_ros.configuration import flatten
+from topometric_ros.extraction.config import PRESETS, extraction_preset
+from topometric_ros.fusion.config import merge_preset
+from topometric_ros.nodes.config import ExtractorNodeConfig, MergerNodeConfig
+from topometric_ros.runtime.agents_file import read_agents_file
+from topometric_ros.runtime.config import load_config, preset_config
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def writer() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("write_config", ROOT / "scripts/write_config.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_generated_files_are_up_to_date() -> None:
+    stale = [str(p) for p, text in writer().files().items() if p.read_text() != text]
+    assert not stale, "run scripts/write_config.py"
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_preset_file_is_the_preset(preset: str) -> None:
+    assert load_config(ROOT / "config" / f"{preset}.yaml") == preset_config(preset)
+
+
+@pytest.mark.parametrize(
+    ("node", "own", "stage"),
+    [
+        ("extractor", ExtractorNodeConfig(), extraction_preset("default")),
+        ("merger", MergerNodeConfig(agents=("/robot1", "/robot2")), merge_preset("default")),
+    ],
+)
+def test_a_node_file_names_every_parameter_once(node: str, own: object, stage: object) -> None:
+    own_names, stage_names = set(flatten(own)), set(flatten(stage))
+    assert not own_names & stage_names, "a parameter of the node hides one of its stage"
+    tree = yaml.safe_load((ROOT / "config" / f"{node}.yaml").read_text())
+    assert set(_leaves(tree[f"/**/{node}"]["ros__parameters"])) == own_names | stage_names
+
+
+def _leaves(tree: dict, prefix: str = "") -> list[str]:
+    names = []
+    for key, value in tree.items():
+        names += _leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else [prefix + key]
+    return names
+
+
+def test_the_agents_file_that_ships_is_valid() -> None:
+    fleet = read_agents_file(ROOT / "config" / "agents.yaml")
+    assert [agent.id for agent in fleet.agents] == ["robot1", "robot2"]
+
+
+def test_the_fast_dds_profile_gives_a_cloud_room_in_shared_memory() -> None:
+    tree = ElementTree.parse(ROOT / "config" / "fastdds_large_clouds.xml")
+    sizes = [int(e.text or 0) for e in tree.iter() if e.tag.endswith("segment_size")]
+    assert sizes == [64 * 1024 * 1024]
+
+
+def test_the_launch_file_describes_every_argument() -> None:
+    tree = ast.parse((ROOT / "launch" / "topometric.launch.py").read_text())
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    arguments = [c for c in calls if getattr(c.func, "id", "") == "DeclareLaunchArgument"]
+    assert len(arguments) == 5
+    assert all("description" in {k.arg for k in call.keywords} for call in arguments)
+
+
+def test_the_launch_file_starts_an_extractor_for_each_agent_and_a_merger() -> None:
+    launch = pytest.importorskip("launch", reason="ROS 2 launch has no wheel; apt has it")
+    pytest.importorskip("launch_ros")
+    if not hasattr(launch, "LaunchService"):
+        pytest.skip("ROS 2 launch has no wheel; apt has it")
+    context = launch.LaunchContext()
+    spec = importlib.util.spec_from_file_location("it", ROOT / "launch/topometric.launch.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    context.launch_configurations |= {
+        "agents_file": str(ROOT / "config" / "agents.yaml"),
+        "params_file": "",
+        "use_sim_time": "false",
+        "log_level": "info",
+        "fastdds_profile": "",
+    }
+    actions = module._processes(context)
+    assert [type(action).__name__ for action in actions] == ["Node", "Node", "Node"]

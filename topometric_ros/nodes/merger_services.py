@@ -1,0 +1,147 @@
+"""The merger's services: each answers with a code and a sentence, and never ends the node."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from topometric_msgs.srv import LoadMap, MergeNow, RemoveAlignment, Reset, SaveMap, SetAlignment
+
+from topometric_ros.errors import TopometricError
+from topometric_ros.io.map_files import load_map, save_map
+from topometric_ros.nodes.merger_report import AgentInput, MergerReport
+from topometric_ros.runtime.extractor_session import SessionError
+from topometric_ros.runtime.transforms import TransformError
+
+if TYPE_CHECKING:
+    from topometric_ros.nodes.merger import Merger
+
+
+def serve(node: Merger) -> None:
+    """Offer the services of a merger; they may wait for a merge, in a thread of their own."""
+    services = _MergerServices(node)
+    waiting = MutuallyExclusiveCallbackGroup()
+    for kind, name, answer in (
+        (MergeNow, "~/merge_now", services.merge_now),
+        (Reset, "~/reset", services.reset),
+        (SaveMap, "~/save_map", services.save_map),
+        (LoadMap, "~/load_map", services.load_map),
+        (SetAlignment, "~/set_alignment", services.set_alignment),
+        (RemoveAlignment, "~/remove_alignment", services.remove_alignment),
+    ):
+        node.create_service(kind, name, answer, callback_group=waiting)
+
+
+class _MergerServices:
+    def __init__(self, node: Merger) -> None:
+        self._node = node
+
+    def merge_now(self, _request: Any, response: Any) -> Any:
+        with self._node.working:
+            self._node.take_in()
+            try:
+                self._node.merge()
+            except SessionError as error:
+                response.code, response.message = response.NO_INPUT, str(error)
+                return response
+            except Exception as error:
+                self._node.failed(error)
+                response.code, response.message = response.FAILED, self._node.report.failure
+                return response
+            agents = self._node.session.result.agents if self._node.session.result else ()
+            placed = [agent.id for agent in agents if agent.T_global_agent is not None]
+            response.agents, response.aligned = len(agents), len(placed)
+        response.code = response.SUCCESS
+        response.message = f"{len(placed)} of {len(agents)} agents in the global frame"
+        return response
+
+    def reset(self, _request: Any, response: Any) -> Any:
+        with self._node.working:
+            for inbox in self._node.inboxes.values():
+                inbox.take_all()
+            self._node.session.reset()
+            self._node.fresh = False
+            inputs = {agent: AgentInput(x.topic) for agent, x in self._node.report.inputs.items()}
+            self._node.report = MergerReport(inputs)
+            self._node.place()
+        response.code, response.message = response.SUCCESS, "all maps and alignments forgotten"
+        self._node.get_logger().info(response.message)
+        return response
+
+    def save_map(self, request: Any, response: Any) -> Any:
+        result = self._node.report.result
+        if result is None:
+            response.code, response.message = response.NO_INPUT, "there is no global map yet"
+            return response
+        path = Path(request.path).expanduser().absolute()
+        fused = result.global_map
+        try:
+            save_map(path, fused.map, fused.agents, tuple(agent.id for agent in result.agents))
+        except (OSError, TopometricError) as error:
+            response.code, response.message = response.FILE_ERROR, f"{path}: {error}"
+            return response
+        response.code, response.path = response.SUCCESS, str(path)
+        response.message = f"global map written to {path}"
+        return response
+
+    def load_map(self, request: Any, response: Any) -> Any:
+        try:
+            m = load_map(request.path)
+        except OSError as error:
+            response.code, response.message = response.FILE_ERROR, f"{request.path}: {error}"
+            return response
+        except TopometricError as error:
+            response.code, response.message = response.FAILED, str(error)
+            return response
+        m = dataclasses.replace(m, agent=request.agent or m.agent)
+        if m.agent not in self._node.agents:
+            response.code = response.UNKNOWN_AGENT
+            response.message = f"no agent {m.agent!r}; known: {', '.join(self._node.agents)}"
+            return response
+        with self._node.working:
+            try:
+                self._node.fresh |= self._node.session.add_map(m, request.path)
+            except TopometricError as error:
+                response.code, response.message = response.FAILED, str(error)
+                return response
+            self._node.report.inputs[m.agent].newest = m
+            self._node.report.inputs[m.agent].arrived = self._node.get_clock().now().nanoseconds
+        response.code, response.agent = response.SUCCESS, m.agent
+        response.message = f"map {m.sequence} of {m.agent}: {len(m.rooms)} rooms"
+        return response
+
+    def set_alignment(self, request: Any, response: Any) -> Any:
+        a, b = request.agent_a, request.agent_b
+        with self._node.working:
+            try:
+                self._node.session.set_alignment(a, b, np.array(request.t_a_b).reshape(4, 4))
+            except SessionError as error:
+                response.code, response.message = response.UNKNOWN_AGENT, str(error)
+                return response
+            except TransformError as error:
+                response.code, response.message = response.INVALID_TRANSFORM, str(error)
+                return response
+            self._node.fresh = bool(self._node.session.maps)
+        response.code, response.message = response.SUCCESS, f"alignment of {a} and {b} set by hand"
+        self._node.get_logger().info(response.message)
+        return response
+
+    def remove_alignment(self, request: Any, response: Any) -> Any:
+        a, b = request.agent_a, request.agent_b
+        with self._node.working:
+            try:
+                removed = self._node.session.remove_alignment(a, b)
+            except SessionError as error:
+                response.code, response.message = response.UNKNOWN_AGENT, str(error)
+                return response
+            self._node.fresh = bool(self._node.session.maps)
+        if not removed:
+            response.code = response.NO_ALIGNMENT
+            response.message = f"no alignment of {a} and {b} was set by hand"
+            return response
+        response.code, response.message = response.SUCCESS, f"{a} and {b}: the maps decide again"
+        self._node.get_logger().info(response.message)
+        return response
