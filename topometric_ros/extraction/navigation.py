@@ -22,6 +22,7 @@ from topometric_ros.voxels.components import connected_components
 from topometric_ros.voxels.grid import VoxelGrid
 from topometric_ros.voxels.index import VoxelIndex
 from topometric_ros.voxels.kernels import (
+    Kernel,
     circle,
     column,
     connectivity,
@@ -33,11 +34,14 @@ from topometric_ros.voxels.kernels import (
 
 logger = logging.getLogger(__name__)
 
+_GAP = 0.3
+"""Widest hole in a floor that is not yet its rim, m."""
 _BESIDE = 0.4
 """How far from the rim of a component something may stand to count as beside it, m: a stick's
 radius, and two voxels of 0.1 m for what the lattice adds."""
-_STANDING = (0.4, 1.5)
-"""Heights above the floor in which something stands, m: above noise and steps, below lintels."""
+_STANDING = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4)
+"""Heights above the floor at which something that stands there is looked for, m: above noise and
+steps, below lintels. Walls are upright, so a few heights will do."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +118,9 @@ def navigable_volume(grid: VoxelGrid, config: NavigationConfig) -> NDArray[np.in
     height = math.floor(config.dilation / grid.voxel_size + 0.5)
     dilated = dilate(standing, column(height))
     component = connected_components(dilated, connectivity(config.connectivity))
-    enclosure = _enclosure(dilated, component, grid, index)
-    kept = enclosure >= min(config.smallest_enclosure, enclosure.max())
     row = index.rows(dilated)
+    enclosure = _enclosure(dilated, component, row >= 0, grid, index)
+    kept = enclosure >= min(config.smallest_enclosure, enclosure.max())
     if config.keep == "largest":
         kept &= np.cumsum(kept) == 1
     else:
@@ -127,16 +131,33 @@ def navigable_volume(grid: VoxelGrid, config: NavigationConfig) -> NDArray[np.in
 
 
 def _enclosure(
-    dilated: NDArray[np.int32], component: NDArray[np.int32], grid: VoxelGrid, index: VoxelIndex
+    dilated: NDArray[np.int32],
+    component: NDArray[np.int32],
+    inside: NDArray[np.bool_],
+    grid: VoxelGrid,
+    index: VoxelIndex,
 ) -> NDArray[np.float64]:
-    """Return the share of each component's rim that something stands beside: (C,) float64."""
-    sides = kernel_of([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)])
-    rim = convolve(dilated, None, sides, "count") < len(sides)
-    reach = circle(_BESIDE / grid.voxel_size).coords
-    low, high = (math.ceil(z / grid.voxel_size) for z in _STANDING)
-    heights = np.arange(low, max(high, low + 1))
-    beside = kernel_of((reach[:, None] + np.array([(0, 0, z) for z in heights])).reshape(-1, 3))
-    something = convolve(dilated[rim], None, beside, "any", index)
+    """Return the share of each component's rim that something stands beside: (C,) float64.
+
+    The rim are the voxels of the grid (`inside`) that the component does not go on from in one of
+    four directions; holes of a few voxels, as sparse clouds have, make no rim.
+    """
+    volume = VoxelIndex(dilated)
+    reach = range(1, math.ceil(_GAP / grid.voxel_size) + 1)
+    goes_on = np.ones(np.count_nonzero(inside))
+    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        ahead = kernel_of([(x * k, y * k, 0) for k in reach])
+        goes_on *= convolve(dilated[inside], None, ahead, "any", volume)
+    rim = np.flatnonzero(inside)[goes_on == 0]
     count = component.max() + 1
-    rims = np.bincount(component[rim], minlength=count)
-    return np.bincount(component[rim], something, count) / np.maximum(rims, 1)
+    rims = np.maximum(np.bincount(component[rim], minlength=count), 1)
+    something = convolve(dilated[rim], None, _beside_kernel(grid.voxel_size), "any", index)
+    return np.bincount(component[rim], something, count) / rims
+
+
+def _beside_kernel(voxel_size: float) -> Kernel:
+    """Return the cells in which something that stands beside a rim voxel is looked for."""
+    around = circle(_BESIDE / voxel_size).coords
+    heights = sorted({math.floor(z / voxel_size + 0.5) for z in _STANDING})
+    tall = np.array([(0, 0, z) for z in heights])
+    return kernel_of((around[:, None] + tall).reshape(-1, 3))

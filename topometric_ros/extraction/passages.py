@@ -32,7 +32,7 @@ class PassageConfig:
         maximum=1.0,
     )
     smallest_contact: int = parameter(
-        1, "Smallest number of navigable voxels on a passage's border.", unit="voxels", minimum=1
+        1, "Fewest adjacent pairs of voxels that make a passage.", unit="pairs", minimum=1
     )
     clearance: float = parameter(
         0.3,
