@@ -18,7 +18,7 @@ from topometric_ros.voxels.morton import morton_decode, morton_encode
 MAXIMUM_ITEMS = 1 << 26
 """The most voxels or raster cells that an array may have: 67 million."""
 
-_LEVEL = 9
+_LEVEL = 15
 _VARINT_BYTES = 9
 """A Morton code has 63 bits, seven to a byte."""
 _MAXIMUM_WINDOW = 1 << 27
