@@ -1,0 +1,186 @@
+"""Preset `default` splits floors at doors, keeps corridors whole and does not see furniture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from test.helpers import box_room, moved, yaw_transform
+from topometric_ros.extraction.columns import sort_columns
+from topometric_ros.extraction.default_rooms import NarrowingsConfig, segment
+from topometric_ros.extraction.pair_features import extended, pair_features
+from topometric_ros.extraction.pieces import markers, watershed
+from topometric_ros.extraction.storeys import (
+    RASTER,
+    StoreyConfig,
+    assign_storeys,
+    find_storeys,
+)
+from topometric_ros.extraction.walls import MARGIN, StoreyRaster
+from topometric_ros.voxels.grid import VoxelGrid, voxelise
+
+_WALL = 0.12
+
+
+def _labels(points: NDArray[np.float64]) -> tuple[VoxelGrid, NDArray[np.int32]]:
+    grid, labels, _ = _segmented(points)
+    return grid, labels
+
+
+def _segmented(
+    points: NDArray[np.float64],
+) -> tuple[VoxelGrid, NDArray[np.int32], NDArray[np.int64]]:
+    """Return the voxels, their labels and the voxel of each point."""
+    grid, cell_of_point = voxelise(points, RASTER, np.zeros(3))
+    heights = np.bincount(cell_of_point, weights=points[:, 2]) / np.bincount(cell_of_point)
+    columns = sort_columns(grid.coords)
+    storeys = find_storeys(columns, heights, 0.0, StoreyConfig())
+    storey = assign_storeys(columns, heights, storeys)
+    labels = segment(columns, heights, storeys, storey, NarrowingsConfig())
+    return grid, labels, cell_of_point
+
+
+def _label_at(
+    grid: VoxelGrid, labels: NDArray[np.int32], points: list[tuple[float, float]]
+) -> list[int]:
+    """Return the label of the floor voxel at each position."""
+    rows = []
+    for x, y in points:
+        there = np.abs(grid.centres() - (x, y, 0.0)).max(1) < 0.06
+        rows.append(int(labels[np.flatnonzero(there)[0]]))
+    return rows
+
+
+def _two_rooms() -> NDArray[np.float64]:
+    left = box_room((0, 0, 0), (5, 4, 2.6), (("x+", 2.0),))
+    return np.concatenate([left, box_room((5 + _WALL, 0, 0), (4, 4, 2.6), (("x-", 2.0),))])
+
+
+def _offices(count: int = 4) -> NDArray[np.float64]:
+    """A corridor of 14 m with offices of 3.4 m along one side, a door each."""
+    middles = [1.7 + 3.52 * i for i in range(count)]
+    parts = [box_room((0, 0, 0), (14, 1.8, 2.6), tuple(("y+", m) for m in middles))]
+    for i in range(count):
+        corner = (3.52 * i, 1.8 + _WALL, 0)
+        parts.append(box_room(corner, (3.4, 4.5, 2.6), (("y-", 1.7),)))
+    return np.concatenate(parts)
+
+
+def _agreement(one: NDArray[np.int32], other: NDArray[np.int32]) -> float:
+    """Adjusted Rand index of two labellings (Hubert & Arabie 1985)."""
+    table = np.zeros((one.max() + 1, other.max() + 1))
+    np.add.at(table, (one, other), 1)
+
+    def pairs(counts: NDArray[np.float64]) -> float:
+        return float((counts * (counts - 1) / 2).sum())
+
+    rows, columns = pairs(table.sum(1)), pairs(table.sum(0))
+    expected = rows * columns / pairs(table.sum(keepdims=True))
+    return (pairs(table) - expected) / ((rows + columns) / 2 - expected)
+
+
+def test_two_rooms_with_a_door_are_two() -> None:
+    grid, labels = _labels(_two_rooms())
+    assert labels.max() == 1
+    left, right = _label_at(grid, labels, [(1.0, 1.0), (8.0, 1.0)])
+    assert left != right
+    assert _label_at(grid, labels, [(4.5, 3.5), (5.5, 3.5)]) == [left, right]
+
+
+def test_a_corridor_and_its_offices_are_one_room_each() -> None:
+    grid, labels = _labels(_offices())
+    doors = [(1.7 + 3.52 * i, 4.0) for i in range(4)]
+    found = _label_at(grid, labels, [(7.0, 0.9), *doors])
+    assert len(set(found)) == 5
+    assert labels.max() == 4
+    assert set(_label_at(grid, labels, [(0.5, 0.9), (3.0, 0.9), (13.5, 0.9)])) == {found[0]}
+
+
+def test_furniture_does_not_split_a_room() -> None:
+    room = box_room((0, 0, 0), (7, 5, 2.6))
+    shelf = box_room((3.4, 0.0, 0.0), (0.4, 3.6, 1.6))
+    _, labels = _labels(np.concatenate([room, shelf]))
+    assert labels.max() == 0
+
+
+def test_a_low_room_still_has_walls() -> None:
+    points = _two_rooms()
+    _, labels = _labels(points * (1.0, 1.0, 2.15 / 2.6))
+    assert labels.max() == 1
+
+
+@pytest.mark.parametrize("yaw", [0.5236, 1.0])
+def test_rooms_do_not_depend_on_the_yaw(yaw: float) -> None:
+    points = _offices()
+    _, labels, cell = _segmented(points)
+    _, turned, turned_cell = _segmented(moved(points, yaw_transform(yaw, (3.3, -7.7, 0.0))))
+    assert _agreement(labels[cell], turned[turned_cell]) >= 0.9
+
+
+def test_rooms_do_not_depend_on_a_translation_by_whole_voxels() -> None:
+    points = np.round(_offices(2) / 0.01) * 0.01 + 0.005
+    grid, labels = _labels(points)
+    shift = np.array([128, -384, 0])
+    moved_grid, moved_labels = _labels(points + shift * RASTER)
+    order = np.lexsort(grid.coords.T)
+    moved_order = np.lexsort(moved_grid.coords.T)
+    assert np.array_equal(grid.coords[order] + shift, moved_grid.coords[moved_order])
+    assert np.array_equal(labels[order], moved_labels[moved_order])
+
+
+def test_what_lies_far_from_every_room_belongs_to_none() -> None:
+    wall = np.stack(np.meshgrid([12.0], np.arange(0, 3, 0.05), np.arange(0, 2.6, 0.05)), -1)
+    room = box_room((0, 0, 0), (5, 4, 2.6))
+    grid, labels = _labels(np.concatenate([room, wall.reshape(-1, 3)]))
+    outside = grid.centres()[:, 0] > 11
+    assert (labels[outside] == -1).all()
+    assert (labels[~outside] == 0).all()
+
+
+def test_a_watershed_meets_at_the_narrowing() -> None:
+    distance = np.minimum(np.abs(np.arange(30) - 15) + 1.0, 4.0)[:, None] * np.ones((1, 9))
+    domain = np.zeros((30, 9), bool)
+    domain[2:-2, 2:-2] = True
+    seeds = np.zeros((30, 9), np.int32)
+    seeds[5, 4], seeds[25, 4] = 1, 2
+    labels = watershed(distance, domain, seeds)
+    assert (labels[2:15, 4] == 1).all()
+    assert (labels[16:28, 4] == 2).all()
+    assert not labels[~domain].any()
+
+
+def test_a_plateau_is_one_marker() -> None:
+    distance = np.zeros((12, 20))
+    distance[3:9, 3:17] = 2.0
+    distance[5:7, 4:16] = 5.0
+    assert markers(distance, distance > 0, 3.0).max() == 1
+
+
+def test_a_doorway_has_wall_beyond_its_ends_and_little_to_see_through() -> None:
+    wall = np.zeros((70, 50), bool)
+    wall[MARGIN, :], wall[-MARGIN, :], wall[:, MARGIN], wall[:, -MARGIN] = True, True, True, True
+    wall[35, :20], wall[35, 29:] = True, True
+    inside = np.zeros_like(wall)
+    inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
+    pieces = np.zeros(wall.shape, np.int32)
+    pieces[MARGIN + 1 : 35, MARGIN + 1 : -MARGIN] = 1
+    pieces[35:-MARGIN, MARGIN + 1 : -MARGIN] = 2
+    pieces[wall] = 0
+    x, y = np.nonzero(wall)
+    grid = np.stack(np.meshgrid(np.arange(70), np.arange(50), indexing="ij"), -1)
+    distance = np.sqrt(((grid[:, :, None] - np.stack([x, y], -1)) ** 2).sum(-1).min(-1))
+    raster = StoreyRaster(np.zeros(2, np.int64), inside, wall, inside & ~wall, distance)
+    features = pair_features(raster, pieces, 7, 120.0)
+    assert (features.a.tolist(), features.b.tolist()) == ([0], [1])
+    assert features.saddle[0] == pytest.approx(4.5, abs=0.6)
+    assert features.line[0] == 1.0
+    assert features.seen[0, 0] == features.pairs[0, 0]
+    assert 0 < features.seen[0, 1] < 0.7 * features.pairs[0, 1]
+    assert (features.seen == features.seen.T).all()
+
+
+def test_labels_reach_no_farther_than_asked() -> None:
+    labels = np.zeros((1, 20), np.int32)
+    labels[0, 0] = 7
+    assert extended(labels, 5.0).sum() == 6 * 7
