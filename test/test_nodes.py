@@ -218,3 +218,90 @@ def test_a_wrong_parameter_ends_the_node_with_one_line_and_status_two(start: Any
     assert process.wait(START_S) == 2
     assert process.log.count("voxel_size: expected") == 1
     assert "Traceback" not in process.log
+
+
+def small_map(agent: str, size: tuple[float, float, float]) -> Any:
+    """One room, extracted here; its map frame is called `map`, as on every robot."""
+    from topometric_ros.extraction.config import extraction_preset
+    from topometric_ros.matching.config import matching_preset
+    from topometric_ros.runtime.extract_map import extract_map
+
+    points = box_room((0.0, 0.0, 0.0), size)
+    identity = {"agent": agent, "session": "s1", "sequence": 1, "frame_id": "map", "stamp": 1}
+    return extract_map(
+        points, extraction_preset("default"), matching_preset("default"), **identity
+    ).map
+
+
+def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
+    own: Graph, start: Any, tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from tf2_msgs.msg import TFMessage
+    from topometric_msgs.msg import TopometricMap
+
+    from topometric_ros.io.map_files import load_global_map, save_map
+    from topometric_ros.nodes import qos
+    from topometric_ros.nodes.messages import message_classes
+    from topometric_ros.runtime.message_codec import map_to_message
+
+    process = start(MERGER, "-p", "agents:=[/a, /b]", "-p", "max_rate:=10.0")
+    transforms = own.subscribe(TFMessage, "/tf", qos.TRANSFORMS)
+    diagnostics = own.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+    publisher = own.node.create_publisher(TopometricMap, "/a/topometric_map", qos.SNAPSHOT)
+
+    def children() -> set[str]:
+        """Return whom the merger places now, by the next two messages on /tf."""
+        transforms.messages.clear()
+        wait_for(lambda: len(transforms) >= 2, 20.0, "/tf", (process,))
+        return {entry.child_frame_id for entry in transforms.last.transforms}
+
+    def call(name: str, **fields: Any) -> Any:
+        request = service(name).Request(**fields)
+        snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)[1:]
+        return own.call(service(name), f"/merger/{snake}", request)
+
+    assert call("MergeNow").code == 1, "nothing has arrived yet"
+    message = map_to_message(small_map("a", (4.0, 5.0, 2.6)), message_classes())
+    wrong = map_to_message(small_map("a", (4.0, 5.0, 2.6)), message_classes())
+    wrong.voxel_count += 1
+    publisher.publish(wrong)
+    refused = lambda: any(  # noqa: E731
+        "/a/topometric_map" in status.name and "refused" in status.message
+        for entry in list(diagnostics.messages)
+        for status in entry.status
+    )
+    wait_for(refused, START_S, "diagnostics entry of the refused map", (process,))
+    assert process.log.count("refused") == 1
+    publisher.publish(message)
+    assert children() == {"map"}
+
+    path = tmp_path / "b.tmap"
+    save_map(path, small_map("b", (7.0, 3.0, 2.9)))
+    assert call("LoadMap", path=str(path), agent="c").code == 4
+    assert call("LoadMap", path=str(tmp_path / "none.tmap"), agent="b").code == 3
+    assert call("LoadMap", path=str(path), agent="").agent == "b"
+    response = call("MergeNow")
+    assert (response.code, response.agents, response.aligned) == (0, 2, 1)
+    assert children() == {"a/map"}, "b is not aligned, so nothing is said of it"
+    assert "is in use already" in process.log
+
+    T = np.eye(4)
+    T[0, 3] = 10.0
+    assert call("SetAlignment", agent_a="a", agent_b="c", t_a_b=T.ravel()).code == 4
+    assert call("SetAlignment", agent_a="a", agent_b="b", t_a_b=2 * T.ravel()).code == 5
+    assert call("SetAlignment", agent_a="a", agent_b="b", t_a_b=T.ravel()).code == 0
+    assert call("MergeNow").aligned == 2
+    assert children() == {"a/map", "b/map"}
+    (placed,) = (e for e in transforms.last.transforms if e.child_frame_id == "b/map")
+    np.testing.assert_allclose(matrix(placed.transform), T, atol=1e-9)
+    assert call("SaveMap", path=str(tmp_path / "global.tmap")).code == 0
+    assert load_global_map(tmp_path / "global.tmap")[2] == ("a", "b")
+
+    assert call("RemoveAlignment", agent_a="a", agent_b="b").code == 0
+    assert call("RemoveAlignment", agent_a="a", agent_b="b").code == 6
+    assert call("MergeNow").aligned == 1
+    assert children() == {"a/map"}
+    assert call("Reset").code == 0
+    assert call("SaveMap", path=str(tmp_path / "none.tmap")).code == 1
+    assert process.stop(signal.SIGTERM) == 0

@@ -90,11 +90,10 @@ class _MergerServices:
     def load_map(self, request: Any, response: Any) -> Any:
         try:
             m = load_map(request.path)
-        except OSError as error:
-            response.code, response.message = response.FILE_ERROR, f"{request.path}: {error}"
-            return response
         except TopometricError as error:
-            response.code, response.message = response.FAILED, str(error)
+            unreadable = isinstance(error.__cause__, OSError)
+            response.code = response.FILE_ERROR if unreadable else response.FAILED
+            response.message = str(error)
             return response
         m = dataclasses.replace(m, agent=request.agent or m.agent)
         if m.agent not in self._node.agents:
