@@ -45,6 +45,7 @@ def test_processes_get_their_arguments_from_the_file() -> None:
         "preset": "thesis",
         "agent": "a",
         "mode": "auto",
+        "global_frame": "world",
     }
     merger = merger_arguments(fleet)
     assert "__ns:=/base" in merger

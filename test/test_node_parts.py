@@ -21,10 +21,12 @@ if missing():
 
 import rclpy
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
 from rclpy.parameter import Parameter
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
-from topometric_ros.nodes import parameters, qos
+from topometric_ros.nodes import parameters, qos, tf
 from topometric_ros.nodes.diagnostics import Level, Status, to_message
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.worker import Inbox, Worker
@@ -192,6 +194,14 @@ def test_markers_show_every_room_and_passage_in_the_agents_own_frame() -> None:
     (edges,) = (m for m in markers if m.ns == "edges")
     assert [(p.x, p.z) for p in edges.points] == [(0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (0.5, 1.0)]
     assert {m.header.frame_id for m in markers} == {"a/map"}
+
+
+def test_the_mergers_own_transforms_do_not_move_an_agents_map() -> None:
+    message = TFMessage(transforms=[TransformStamped(child_frame_id=c) for c in ("map", "odom")])
+    message.transforms[0].header.frame_id = "global"
+    message.transforms[1].header.frame_id = "map"
+    kept = tf.without_parent(message, "/global").transforms
+    assert [entry.child_frame_id for entry in kept] == ["odom"]
 
 
 def test_diagnostics_carry_level_and_numbers() -> None:

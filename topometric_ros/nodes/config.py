@@ -43,6 +43,11 @@ class ExtractorNodeConfig:
         "",
         "Frame of the map that scans are placed in; empty: the one named map, or /tf's root.",
     )
+    global_frame: str = parameter(
+        "global",
+        "Frame that the merger puts above the agents' map frames; transforms below it are ignored, "
+        "so that no agent's map moves into it.",
+    )
     max_rate: float = parameter(
         0.5, "Extractions a second at most.", unit="Hz", minimum=0.001, maximum=100.0
     )

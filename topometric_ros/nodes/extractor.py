@@ -121,7 +121,7 @@ class Extractor(TopometricNode):
         self.clouds.put(message)
 
     def _on_transforms(self, message: TFMessage, static: bool) -> None:
-        self._transforms.put((message, static))
+        self._transforms.put((tf.without_parent(message, self._own.global_frame), static))
 
     def _tick(self) -> None:
         if len(self.clouds) or len(self._transforms) or self.fresh:

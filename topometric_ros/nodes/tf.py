@@ -22,6 +22,12 @@ def listen(node: Node, receive: Callable[[TFMessage, bool], None]) -> None:
     )
 
 
+def without_parent(message: TFMessage, frame: str) -> TFMessage:
+    """Return the transforms of a message but for those from a child of `frame`."""
+    kept = [t for t in message.transforms if t.header.frame_id.lstrip("/") != frame.lstrip("/")]
+    return TFMessage(transforms=kept)
+
+
 def create_publisher(node: Node) -> Publisher:
     """Return a publisher of dynamic transforms.
 

@@ -36,6 +36,9 @@ _NAMESPACE = re.compile(rf"^(/{_TOKEN})*/?$")
 _TOPIC = re.compile(rf"^/?{_TOKEN}(/{_TOKEN})*$")
 
 _AGENT_KEYS = ("id", "namespace", "cloud", "mode", "params")
+_SHARED = ("global_frame",)
+"""Parameters of the merger that its extractors must know."""
+
 _ROOT_KEYS = ("agents", "extractor", "merger")
 
 
@@ -131,7 +134,9 @@ def agent_of_namespace(namespace: str) -> str:
 
 def extractor_arguments(fleet: AgentsFile, agent: AgentEntry) -> list[str]:
     """Return the arguments with which `topometric-extractor` becomes this agent's extractor."""
+    told = {name: fleet.merger_params[name] for name in _SHARED if name in fleet.merger_params}
     params = {
+        **told,
         **fleet.extractor_params,
         **agent.params,
         "agent": agent.id,
