@@ -80,6 +80,12 @@ def test_a_floor_without_a_ceiling_is_a_storey_of_the_usual_height() -> None:
 
 
 def test_a_wall_alone_has_no_storey() -> None:
-    y, z = np.meshgrid(np.arange(0, 5, 0.04), np.arange(0, 3, 0.04))
+    y, z = np.meshgrid(np.arange(0, 30, 0.05), np.arange(0, 3, 0.05))
     storeys, _, _ = _storeys(np.stack([np.zeros(y.size), y.ravel(), z.ravel()], -1))
+    assert storeys == ()
+
+
+def test_scattered_points_have_no_storey() -> None:
+    points = np.random.default_rng(3).uniform(0, 10, (30_000, 3))
+    storeys, _, _ = _storeys(points)
     assert storeys == ()

@@ -18,7 +18,7 @@ class MergingConfig:
     """Weights of the features of two touching pieces; they merge where the sum is positive."""
 
     visibility: float = parameter(4.7, "Weight of mutual visibility.", minimum=0.0)
-    saddle: float = parameter(6.2, "Weight of the opening's width over the rooms'.", minimum=0.0)
+    saddle: float = parameter(4.7, "Weight of the opening's width over the rooms'.", minimum=0.0)
     line: float = parameter(1.2, "Weight against walls that go on beyond the opening.", minimum=0.0)
     corner: float = parameter(4.3, "Weight against free wall ends at the opening.", minimum=0.0)
     threshold: float = parameter(3.9, "What the weighted sum must exceed.")

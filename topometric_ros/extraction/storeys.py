@@ -55,6 +55,12 @@ class StoreyConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    prominence: float = parameter(
+        2.0,
+        "How much larger a floor is than the levels within a metre of it on average.",
+        minimum=1.0,
+        maximum=100.0,
+    )
     ceiling_share: float = parameter(
         0.05,
         "Smallest ceiling, as a share of the floor below that has headroom.",
@@ -99,9 +105,11 @@ def _levels(columns: Columns, config: StoreyConfig) -> _Levels:
     bottom = int(columns.z.min()) - 1
     size = int(columns.z.max()) - bottom + 2
     z = columns.z - bottom
+    # The top of a wall has headroom too, but wall below it: a floor is a layer of its own.
+    layer = columns.horizontal | (columns.below > 1)
     covered = (columns.above >= room) & (columns.above <= tall)
     # A gap of `room` cells between centres leaves room - 1 of them free.
-    free = columns.above > room
+    free = (columns.above > room) & layer
     upright = np.bincount(z[~columns.horizontal], minlength=size)
     total = np.concatenate([[0], np.cumsum(upright)])
     low = np.minimum(np.arange(size) + 3, size)
@@ -149,6 +157,15 @@ def _is_top_of_ceiling(levels: _Levels, level: int) -> bool:
     return bool(np.any((floors[above] >= 0.3 * floors[level]) & (ceilings[above] < floors[above])))
 
 
+def _stands_out(counts: NDArray[np.int64], level: int, factor: float) -> bool:
+    """Whether a bin holds `factor` times what the bins within a metre of it do on average."""
+    reach = round(1.0 / RASTER)
+    around = np.concatenate(
+        [counts[max(0, level - reach) : max(0, level - 2)], counts[level + 3 : level + reach + 1]]
+    )
+    return len(around) == 0 or bool(counts[level] >= factor * around.mean())
+
+
 def _floor_levels(levels: _Levels, config: StoreyConfig) -> list[int]:
     """Return the cells of the floors, lowest first (change B of the recipe)."""
     area = config.smallest_area / RASTER**2
@@ -156,14 +173,17 @@ def _floor_levels(levels: _Levels, config: StoreyConfig) -> list[int]:
     least = max(config.smallest_share * levels.floors.max(), area)
     floors: list[int] = []
     for level in _maxima(levels.floors, least):
-        if all(abs(level - f) >= apart for f in floors) and not _is_top_of_ceiling(levels, level):
+        clear = all(abs(level - f) >= apart for f in floors)
+        stands_out = _stands_out(levels.floors, level, config.prominence)
+        if clear and stands_out and not _is_top_of_ceiling(levels, level):
             floors.append(level)
     apart = round(config.roofless_separation / RASTER)
     candidates = _maxima(levels.open, max(config.roofless_share * levels.open.max(), area))
     most = max((levels.standing[c] for c in candidates + floors), default=0)
     for level in candidates:
         clear = all(abs(level - f) >= apart for f in floors)
-        if clear and levels.standing[level] >= config.standing_share * most:
+        stands_out = _stands_out(levels.open, level, config.prominence)
+        if clear and stands_out and levels.standing[level] >= config.standing_share * most:
             floors.append(level)
     return sorted(floors)
 
