@@ -140,7 +140,7 @@ class AgentInput:
     def _place(self, scan: _Scan, last: bool = False) -> bool:
         """Put a scan into the session, or skip it; False where it should wait."""
         try:
-            target = self._map_frame or self.transforms.map_frame(scan.frame_id)
+            target = self._map_frame_of(scan.frame_id)
             T_map_sensor = self.transforms.lookup(target, scan.frame_id, scan.stamp)
         except TransformNotYetError as error:
             if not last:
@@ -152,6 +152,14 @@ class AgentInput:
             return True
         self.session.add_scan(scan.points, target, scan.stamp, T_map_sensor, scan.dropped)
         return True
+
+    def _map_frame_of(self, frame_id: str) -> str:
+        """Return the frame that scans of `frame_id` are gathered in."""
+        if self._map_frame:
+            return self._map_frame
+        if frame_id not in self.transforms.frames():
+            raise TransformNotYetError(f"no frame {frame_id} on /tf")
+        return self.transforms.map_frame(frame_id)
 
     def _skip(self, reason: str) -> None:
         self.skipped_count += 1

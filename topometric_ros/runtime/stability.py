@@ -60,7 +60,7 @@ def steadier(
     name = f"{old.agents[0]} and {old.agents[1]}"
     T_level = level_frames(old.T_a_b, a.map.T_level_input, b.map.T_level_input)
     evidence = evaluate(a.fields, b.fields, T_level, config.search.scoring)
-    objection = missed_gate(evidence, config.verification) if config.verify else None
+    objection = missed_gate(evidence, config.verification) if config.check != "none" else None
     if objection is not None:
         logger.info(
             "%s: the alignment in use no longer holds (%s); now %s, score %.3f after %.3f",
