@@ -15,6 +15,6 @@ if [ ! -x "$venv/bin/pip" ]; then
 fi
 echo "Installing the Python packages (a minute or two the first time)"
 pip=("$venv/bin/python" -m pip --disable-pip-version-check)
-"${pip[@]}" -qq install --no-compile -r wheels/build-tools.txt
 # Most of what the wheels bring is never imported: leave compiling it to the first import.
+"${pip[@]}" -qq install --no-compile -r wheels/build-tools.txt
 "${pip[@]}" -qq install --no-compile --no-build-isolation -e '.[las,ros,test,dev]'
