@@ -28,8 +28,8 @@ LAYERS = (
     {"visualization"},
     {"simulation"},
     {"evaluation"},
-    {"cli", "__main__"},
-    {"nodes"},
+    {"cli"},
+    {"nodes", "__main__"},
 )
 """From the bottom up; what shares a line must not import each other, the bottom line excepted."""
 
