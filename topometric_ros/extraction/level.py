@@ -101,8 +101,8 @@ def tilt_warnings(tilt: float) -> tuple[str, ...]:
 def no_floor(points: NDArray[np.float64]) -> ExtractionError:
     """Return the error for a cloud (P, 3) in which nothing has headroom above it."""
     layers = _largest_layers(thin(points, _CELL), np.array([0.0, 0.0, 1.0]))
-    axis = "xyz"[int(np.argmax(layers))]
-    if axis == "z":
+    axis = "xy"[int(np.argmax(layers[:2]))]
+    if max(layers[:2]) <= layers[2]:
         return ExtractionError(
             f"no floor found with z up (largest level {layers[2]:.0f} m²): "
             "name the axis that points up with --up x or --up y"

@@ -183,7 +183,8 @@ def _floor_levels(levels: _Levels, config: StoreyConfig) -> list[int]:
     for level in candidates:
         clear = all(abs(level - f) >= apart for f in floors)
         stands_out = _stands_out(levels.open, level, config.prominence)
-        if clear and stands_out and levels.standing[level] >= config.standing_share * most:
+        stood_on = levels.standing[level] >= max(config.standing_share * most, len(floors) > 0)
+        if clear and stands_out and stood_on:
             floors.append(level)
     return sorted(floors)
 
