@@ -23,7 +23,7 @@ help:
 	@echo 'make test       set up, run the tests'
 	@echo 'make check      set up, check format, lint, types, the colcon build and the README'
 	@echo 'make run-bag    replay your own bag: make run-bag BAG=path/to/bag [OUT=out/name]'
-	@echo 'make bench      time the extraction stage by stage: make bench [CLOUD=path/to/cloud.ply]'
+	@echo 'make bench      CPU seconds by stage: make bench [CLOUD=path/to/cloud.ply]'
 	@echo 'make setup      only set up: Debian packages, $(VENV), wheels, messages'
 	@echo 'make clean      remove build products and outputs; make distclean also $(VENV)'
 	@echo 'PYTHON=/path/to/python3 picks the interpreter (3.11 or newer)'
