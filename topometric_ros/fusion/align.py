@@ -35,7 +35,7 @@ from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
 
-ROUGH = RegistrationConfig(gates=("1.2", "0.6", "0.3"), points=1500, steps=8)
+ROUGH = RegistrationConfig(gates=("1.2", "0.6", "0.3"), points=800, steps=6)
 """Brings a pose read from rooms' centroids, a metre off at times, to where refining can start."""
 
 SAME_POSE = 0.2
@@ -77,7 +77,7 @@ def align(
         empty = a if len(a.map.voxels) == 0 else b
         return _refused(a, b, AlignmentStatus.NONE, f"the map of {empty.map.agent!r} is empty")
     candidates = _candidates(a, b, config, watch)
-    if not config.verify:
+    if config.check != "rivals":
         return _believed(a, b, candidates, config, watch)
     with watch.stage("evidence"):
         judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, _scoring(config))) for c in candidates]
@@ -98,7 +98,7 @@ def _candidates(a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch)
     if "rooms" in config.sources:
         with watch.stage("matching"):
             proposed = propose_from_rooms(a.described, b.described, config.matching)
-        if config.verify:
+        if config.check == "rivals":
             with watch.stage("refinement"):
                 proposed = _refined(a, b, proposed, config)
         candidates += proposed
@@ -111,21 +111,23 @@ def _candidates(a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch)
 def _refined(
     a: Prepared, b: Prepared, candidates: list[Candidate], config: MergeConfig
 ) -> list[Candidate]:
-    """Return candidates from rooms where they fit best nearby, by surface and then by raster.
+    """Return the most promising candidates from rooms where they fit best nearby.
 
-    Many hypotheses end at one pose; only the first of those, which has most matches, goes on.
+    All are registered roughly. Many then end at one pose, of which the first, with most matches,
+    goes on; and of the distinct ones those that score best, because refining costs most.
     """
     centroids = np.array([room.centroid for room in b.map.rooms])
-    ended: list[Transform] = []
-    refined = []
+    ended: list[Candidate] = []
     for candidate in candidates:
         T = _rough(a, b, candidate)
-        if any(apart(T, other, centroids) < SAME_POSE for other in ended):
-            continue
-        ended.append(T)
-        T = refine(a.fields, b.fields, T, _scoring(config))
-        refined.append(replace(candidate, T_a_b=T))
-    return refined
+        if all(apart(T, other.T_a_b, centroids) >= SAME_POSE for other in ended):
+            ended.append(replace(candidate, T_a_b=T))
+    scores = [evaluate(a.fields, b.fields, c.T_a_b, _scoring(config)).score for c in ended]
+    best = np.argsort(-np.array(scores), kind="stable")[: config.refined_rooms]
+    return [
+        replace(ended[k], T_a_b=refine(a.fields, b.fields, ended[k].T_a_b, _scoring(config)))
+        for k in sorted(best.tolist())
+    ]
 
 
 def _rough(a: Prepared, b: Prepared, candidate: Candidate) -> Transform:
@@ -197,7 +199,7 @@ def _believed(
     config: MergeConfig,
     watch: Stopwatch,
 ) -> Alignment:
-    """Accept the best hypothesis of matched rooms without a check, as the draft does."""
+    """Accept the best hypothesis of matched rooms, with no other check than the gates."""
     if not candidates:
         return _refused(a, b, AlignmentStatus.NONE, "no rooms could be matched")
     best = candidates[0]
@@ -206,12 +208,21 @@ def _believed(
             result = _registration(a, b, best, config)
     except RegistrationError as error:
         return _refused(a, b, AlignmentStatus.NONE, f"registration failed: {error}")
-    evidence = evaluate(a.fields, b.fields, result.T_target_source, _scoring(config))
+    with watch.stage("evidence"):
+        evidence = evaluate(a.fields, b.fields, result.T_target_source, _scoring(config))
+    checked = "it was not verified"
+    if config.check == "gates":
+        checked = "it passes the gates"
+        objection = missed_gate(evidence, config.verification)
+        if objection is not None:
+            refused = _refused(a, b, AlignmentStatus.REJECTED, objection)
+            pose = Alternative(_to_input(a, b, result.T_target_source), evidence.value)
+            return replace(refused, alternatives=(pose,), score=evidence.value)
     decision = Decision(
         AlignmentStatus.ACCEPTED,
-        f"the hypothesis of {len(best.matches)} matched rooms is the largest; it was not verified",
+        f"the hypothesis of {len(best.matches)} matched rooms is the largest; {checked}",
         0,
-        confidence=len(best.matches) / min(len(a.map.rooms), len(b.map.rooms)),
+        confidence=len(best.matches) / max(1, min(len(a.map.rooms), len(b.map.rooms))),
     )
     return _accepted(a, b, result, decision, (), evidence, config, watch)
 

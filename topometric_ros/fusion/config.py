@@ -25,10 +25,15 @@ class MergeConfig:
     sources: tuple[str, ...] = parameter(
         SOURCES, "Where candidate poses come from: rooms (matched rooms), search (storey rasters)."
     )
-    verify: bool = parameter(
-        True,
-        "Accept only what the geometry of both maps speaks for; without, the best hypothesis of "
-        "matched rooms is believed, as in the draft.",
+    check: str = parameter(
+        "rivals",
+        "rivals: accept a pose that passes every gate and that no other pose comes near to; gates: "
+        "accept the best hypothesis of matched rooms where it passes the gates once registered; "
+        "none: believe it, as the draft does.",
+        choices=("rivals", "gates", "none"),
+    )
+    refined_rooms: int = parameter(
+        6, "Candidates from matched rooms that are refined and judged.", minimum=1, maximum=100
     )
     refinement: str = parameter(
         "surface",
@@ -55,6 +60,9 @@ class MergeConfig:
 def merge_preset(name: str) -> MergeConfig:
     """Return the parameters of merging under a preset, `default` or `thesis`.
 
+    The draft believes its best hypothesis whatever it is. The preset `thesis` takes the draft's
+    steps, but a transform that the geometry contradicts is refused; `check="none"` is the draft.
+
     Raises
     ------
     ConfigurationError
@@ -65,7 +73,7 @@ def merge_preset(name: str) -> MergeConfig:
     if name == "thesis":
         return MergeConfig(
             sources=("rooms",),
-            verify=False,
+            check="gates",
             refinement="consensus",
             matching=matching_preset("thesis"),
         )

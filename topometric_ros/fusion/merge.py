@@ -64,10 +64,10 @@ def merge(
     _check(maps)
     watch = Stopwatch()
     prepared = [Prepared(m, config.search.scoring, config.matching) for m in maps]
-    given = {**(known or {}), **(fixed or {})}
     alignments = []
     for a, b in itertools.combinations(prepared, 2):
-        alignment = _given(given, (a.map.agent, b.map.agent))
+        pair = (a.map.agent, b.map.agent)
+        alignment = _given(fixed or {}, pair) or _given(known or {}, pair)
         if alignment is None:
             if progress is not None:
                 progress(f"aligning {a.map.agent} and {b.map.agent}")

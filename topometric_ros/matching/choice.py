@@ -76,6 +76,10 @@ def _merge_clusters(
             near = compatible(hypotheses[i], hypotheses[j])
             apart = displacement(hypotheses[i].T_a_b, hypotheses[j].T_a_b, graph_b.centroids)
             distances[i, j] = distances[j, i] = apart if near else _INFINITE
+    np.fill_diagonal(distances, _INFINITE)
+    if distances.min() > config.distance:
+        return hypotheses  # nothing is similar, which OPTICS would warn of
+    np.fill_diagonal(distances, 0.0)
     clustering = OPTICS(
         min_samples=2,
         metric="precomputed",

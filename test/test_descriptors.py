@@ -1,0 +1,130 @@
+"""Descriptors of rooms: alike for the same room wherever it stands, unlike for different ones."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from test.helpers import yaw_transform
+from test.helpers_matching import A_ROOMS, T_BUILDING_A, agent_map
+from topometric_ros.errors import ConfigurationError
+from topometric_ros.matching.assignment import cost_matrix
+from topometric_ros.matching.config import ContextConfig, DescriptorConfig, MatchingConfig
+from topometric_ros.matching.context import embed_pair
+from topometric_ros.matching.descriptors import (
+    MERGED,
+    EngineeredDescriptor,
+    SpectralDescriptor,
+    describe,
+    described,
+)
+from topometric_ros.matching.descriptors.engineered import FEATURES
+from topometric_ros.matching.descriptors.spectral import neighbourhood_graph
+from topometric_ros.voxels.grid import in_morton_order
+
+
+def box_shell(nx: int, ny: int, nz: int) -> np.ndarray:
+    """Return the surface voxels of a box."""
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in (nx, ny, nz)), indexing="ij"), -1)
+    grid = grid.reshape(-1, 3)
+    shell = ((grid == 0) | (grid == np.array([nx, ny, nz]) - 1)).any(axis=1)
+    return in_morton_order(grid[shell])
+
+
+def test_engineered_features_of_a_box_are_its_sizes() -> None:
+    points = box_shell(41, 31, 26) * 0.1
+    values = dict(zip(FEATURES, EngineeredDescriptor().features(points, 0.1), strict=True))
+    assert values["height"] == pytest.approx(2.5)
+    assert values["horizontal_area"] == pytest.approx(12.0)
+    assert values["volume"] == pytest.approx(30.0)
+    assert values["surface"] == pytest.approx(len(points) * 0.01)
+    assert values["verticality"] == pytest.approx(0.0, abs=1e-6)
+
+
+@settings(max_examples=4, deadline=None)
+@given(yaw=st.floats(-3.1, 3.1), x=st.floats(-50, 50), z=st.floats(-9, 9))
+def test_engineered_features_do_not_change_with_yaw_and_translation(
+    yaw: float, x: float, z: float
+) -> None:
+    points = box_shell(16, 11, 8) * 0.1
+    # Neighbours at equal distances would be picked by rounding.
+    points += np.random.default_rng(0).normal(0, 0.01, points.shape)
+    T = yaw_transform(yaw, (x, -x, z))
+    moved = points @ T[:3, :3].T + T[:3, 3]
+    describe_points = EngineeredDescriptor().features
+    np.testing.assert_allclose(
+        describe_points(moved, 0.1), describe_points(points, 0.1), rtol=1e-5, atol=1e-6
+    )
+
+
+def test_rooms_keep_their_descriptors_when_the_agent_stands_elsewhere() -> None:
+    """Voxels on another lattice change each number by less than rooms differ."""
+    config = MatchingConfig(context=ContextConfig(kind="none"))
+    here = agent_map("a", A_ROOMS, T_BUILDING_A)
+    there = agent_map("b", A_ROOMS, yaw_transform(2.2, (3, 1, 1.0)))
+    cost = cost_matrix(*embed_pair(here, there, config))
+    assert np.argmin(cost, axis=1).tolist() == list(range(len(A_ROOMS)))
+    assert np.diag(cost).max() < 0.5 * np.median(cost)
+
+
+def test_a_long_room_vibrates_lower_than_a_short_one() -> None:
+    spectrum = SpectralDescriptor(eigenvalues=8).spectrum
+    assert spectrum(box_shell(81, 21, 26), 0.1)[0] < 0.5 * spectrum(box_shell(41, 21, 26), 0.1)[0]
+
+
+def test_laplacian_spectrum_is_that_of_the_dense_matrix() -> None:
+    coords = box_shell(12, 9, 7)
+    graph = neighbourhood_graph(coords, "von_neumann").toarray()
+    laplacian = np.diag(graph.sum(axis=1)) - graph
+    descriptor = SpectralDescriptor(eigenvalues=6, neighbourhood="von_neumann", cell=0.1)
+    expected = np.linalg.eigvalsh(laplacian)[1:7] / 0.01
+    np.testing.assert_allclose(descriptor.spectrum(coords, 0.1), expected, rtol=1e-4)
+
+
+def test_adjacency_spectrum_is_the_singular_values() -> None:
+    coords = box_shell(12, 9, 7)
+    graph = neighbourhood_graph(coords, "von_neumann").toarray()
+    descriptor = SpectralDescriptor(
+        eigenvalues=6, matrix="adjacency", neighbourhood="von_neumann", cell=0.1
+    )
+    expected = np.linalg.svd(graph, compute_uv=False)[:6]
+    np.testing.assert_allclose(descriptor.spectrum(coords, 0.1), expected, rtol=1e-4)
+
+
+def test_a_room_of_one_voxel_has_descriptors_too() -> None:
+    assert SpectralDescriptor().spectrum(np.zeros((1, 3), np.int32), 0.1).tolist() == [0.0] * 32
+    assert np.isfinite(EngineeredDescriptor().features(np.zeros((1, 3)), 0.1)).all()
+
+
+def test_describing_twice_gives_the_same_bytes_and_is_not_repeated() -> None:
+    config = MatchingConfig()
+    plain = agent_map("a", (2, 4), T_BUILDING_A)
+    once, twice = describe(plain, config), describe(plain, config)
+    for one, two in zip(once.descriptors, twice.descriptors, strict=True):
+        assert one.values.tobytes() == two.values.tobytes()
+    assert described(once, config) is once
+    other = dataclasses.replace(config, descriptors=DescriptorConfig(eigenvalues=8))
+    assert described(once, other).descriptors[1].values.shape == (2, 8)
+
+
+def test_merged_context_describes_the_room_with_its_neighbours() -> None:
+    config = MatchingConfig(
+        descriptors=DescriptorConfig(names=("engineered",)), context=ContextConfig(kind="merged")
+    )
+    m = describe(agent_map("a", (0, 2), T_BUILDING_A), config)
+    merged = m.descriptor("engineered" + MERGED)
+    assert merged is not None
+    np.testing.assert_allclose(merged.values[0], merged.values[1], rtol=1e-6)
+    assert m.descriptors[0].values[0, 4] + m.descriptors[0].values[1, 4] == pytest.approx(
+        merged.values[0, 4], rel=1e-5
+    )
+
+
+def test_an_unknown_descriptor_is_refused_by_name() -> None:
+    config = MatchingConfig(descriptors=DescriptorConfig(names=("learned",)))
+    with pytest.raises(ConfigurationError, match="learned"):
+        describe(agent_map("a", (2,), T_BUILDING_A), config)
