@@ -13,8 +13,9 @@ from test.helpers_visualization import demo_maps, demo_truth, merged_result, unm
 from topometric_ros.alignment import AlignmentStatus, GlobalMap, MergeResult
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.visualization.agreement import AGREES, CONFLICTS, OWN, compare
-from topometric_ros.visualization.figures import global_figure, map_figure, overlay_figure
+from topometric_ros.visualization.figures import global_figure, map_figure
 from topometric_ros.visualization.page import number
+from topometric_ros.visualization.pair_figures import matches_figure, overlay_figure
 from topometric_ros.visualization.plan import main_direction, storey_plans
 from topometric_ros.visualization.report import report_html, write_report
 from topometric_ros.voxels.palette import agent_colour, room_colours
@@ -155,6 +156,13 @@ def test_a_map_on_another_storey_neither_agrees_nor_conflicts():
         judged = storey.a or storey.b
         assert judged.verdict.max() == OWN
     assert overlay_figure(a, b, above, ("#0077bb", "#ee9911"))
+
+
+def test_matches_are_drawn_with_and_without_a_transform():
+    a, b = demo_maps()
+    accepted = merged_result().alignments[0]
+    assert matches_figure(a, b, accepted) != matches_figure(a, b, replace(accepted, T_a_b=None))
+    assert matches_figure(a, empty_map("robot2"), accepted) is None
 
 
 def test_a_plan_shows_each_room_where_its_voxels_are():

@@ -51,7 +51,7 @@ figcaption{color:var(--soft);font-size:.88rem;margin-top:6px}
 table{border-collapse:collapse;min-width:60%;font-size:.93rem}
 th{text-align:left;color:var(--soft);font-weight:600;font-size:.82rem}
 th,td{padding:6px 10px;border-bottom:1px solid var(--line);vertical-align:top}
-th:first-child,td:first-child{padding-left:0}
+th:first-child,td:first-child{padding-left:0;white-space:nowrap}
 td{font-variant-numeric:tabular-nums}th.num,td.num{text-align:right;white-space:nowrap}
 .pill{display:inline-block;border-radius:99px;padding:1px 11px;font-size:.85rem;font-weight:600;
 white-space:nowrap}

@@ -9,13 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 
-import numpy as np
-from numpy.typing import NDArray
-
 from topometric_ros.alignment import (
     AgentPlacement,
     AgentStatus,
-    Alignment,
     AlignmentStatus,
     MergeResult,
 )
@@ -24,8 +20,6 @@ from topometric_ros.visualization.figures import (
     global_figure,
     hex_colour,
     map_figure,
-    matches_figure,
-    overlay_figure,
 )
 from topometric_ros.visualization.page import (
     details,
@@ -38,15 +32,15 @@ from topometric_ros.visualization.page import (
     text,
     tiles,
 )
+from topometric_ros.visualization.report_pairs import (
+    STATUS,
+    alignment_numbers,
+    alignment_section,
+    angles,
+    sentence,
+)
 from topometric_ros.voxels.palette import agent_colour, room_colours
 
-_STATUS = {
-    AlignmentStatus.ACCEPTED: ("good", "aligned"),
-    AlignmentStatus.AMBIGUOUS: ("warn", "ambiguous"),
-    AlignmentStatus.REJECTED: ("bad", "rejected"),
-    AlignmentStatus.NONE: ("warn", "no candidate"),
-    AlignmentStatus.WITHDRAWN: ("bad", "withdrawn"),
-}
 _ADVICE = {
     AlignmentStatus.AMBIGUOUS: "Several poses explain the maps about equally well, so none "
     "is used. Walking one more room that only one place has usually decides.",
@@ -60,7 +54,6 @@ _AGENT_STATUS = {
     AgentStatus.ALIGNED: ("good", "aligned"),
     AgentStatus.UNALIGNED: ("warn", "not aligned"),
 }
-_MOST_ALTERNATIVES = 8
 
 
 def write_report(
@@ -95,7 +88,7 @@ def report_html(
         _warnings(result, by_agent),
         _global_section(result, names),
         _agents_section(result),
-        *(_alignment_section(alignment, by_agent, names) for alignment in result.alignments),
+        *(alignment_section(alignment, by_agent, names) for alignment in result.alignments),
         _maps_section(result, by_agent),
         _timings_section(timings),
     ]
@@ -119,45 +112,16 @@ def _verdict(result: MergeResult) -> str:
     if len(result.alignments) == 1:
         (only,) = result.alignments
         if only.accepted and only.T_a_b is not None:
-            lines.append(tiles(_alignment_numbers(only)))
-        lines.append(f"<p>{text(_sentence(only.reason))}</p>")
+            lines.append(tiles(alignment_numbers(only)))
+        lines.append(f"<p>{text(sentence(only.reason))}</p>")
         lines += [f"<p>{text(_ADVICE[only.status])}</p>"] if only.status in _ADVICE else []
     else:
         lines += [
-            f"<p>{pill(*_STATUS[a.status])} <b>{text(' ↔ '.join(a.agents))}</b>: "
-            f"{text(_sentence(a.reason))}</p>"
+            f"<p>{pill(*STATUS[a.status])} <b>{text(' ↔ '.join(a.agents))}</b>: "
+            f"{text(sentence(a.reason))}</p>"
             for a in result.alignments
         ]
     return f'<section class="verdict {kind}">{"".join(lines)}</section>'
-
-
-def _alignment_numbers(alignment: Alignment) -> list[tuple[str, str]]:
-    """The transform and how good it is, as (value, what it is)."""
-    assert alignment.T_a_b is not None
-    return [
-        *_pose_numbers(alignment.T_a_b),
-        (number(100 * alignment.confidence, 0, "%"), "confidence"),
-        (number(100 * alignment.overlap, 0, "%"), "overlap"),
-        (number(100 * alignment.rmse, 1, "cm"), "residual (RMSE)"),
-    ]
-
-
-def _pose_numbers(T: NDArray[np.float64]) -> list[tuple[str, str]]:
-    """Yaw and translation of a transform; roll and pitch too where it has any."""
-    yaw, pitch, roll = _angles(T)
-    values = [(number(yaw, 1) + "°", "yaw")]
-    if max(abs(roll), abs(pitch)) > 0.05:
-        values += [(number(roll, 1) + "°", "roll"), (number(pitch, 1) + "°", "pitch")]
-    return values + [(number(T[k, 3], 2, "m"), axis) for k, axis in enumerate("xyz")]
-
-
-def _angles(T: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return yaw, pitch and roll (REP-103) of a transform, degrees."""
-    yaw = np.arctan2(T[1, 0], T[0, 0])
-    pitch = np.arctan2(-T[2, 0], np.hypot(T[0, 0], T[1, 0]))
-    roll = np.arctan2(T[2, 1], T[2, 2])
-    degrees = np.degrees([yaw, pitch, roll])
-    return float(degrees[0]), float(degrees[1]), float(degrees[2])
 
 
 def _warnings(result: MergeResult, maps: Mapping[str, TopometricMap]) -> str:
@@ -190,86 +154,12 @@ def _agents_section(result: MergeResult) -> str:
     for k, agent in enumerate(result.agents):
         kind, label = _AGENT_STATUS[agent.status]
         T = agent.T_global_agent
-        where = ["–"] * 4 if T is None else [number(_angles(T)[0], 1) + "°"]
+        where = ["–"] * 4 if T is None else [number(angles(T)[0], 1) + "°"]
         where += [] if T is None else [number(T[i, 3], 2) for i in range(3)]
         name = swatch(hex_colour(agent_colour(k))) + text(agent.id)
         rows.append([name, pill(kind, label), *where, text(agent.reason), text(_source(agent))])
     head = ("agent", "place", "yaw", "x / m", "y / m", "z / m", "reason", "source")
     return f'<h2>Agents</h2><section class="card">{table(head, rows, "  nnnn  ")}</section>'
-
-
-def _alignment_section(
-    alignment: Alignment, maps: Mapping[str, TopometricMap], names: Sequence[str]
-) -> str:
-    """Everything about one pair of agents: verdict, pictures, alternatives."""
-    first, second = alignment.agents
-    a, b = maps[first], maps[second]
-    colours = [hex_colour(agent_colour(names.index(n))) for n in alignment.agents]
-    T = alignment.T_a_b
-    parts = [
-        f"<h2>{text(first)} ↔ {text(second)} {pill(*_STATUS[alignment.status])}</h2>",
-        '<section class="card">',
-        f"<p>{text(_sentence(alignment.reason))}</p>",
-        # With two agents the verdict above says the numbers already.
-        "" if T is None or len(names) == 2 else tiles(_alignment_numbers(alignment)),
-    ]
-    caption = "Walls that one agent alone saw keep its colour; red walls contradict free floor."
-    best = _best_alternative(alignment)
-    if T is None and best is not None:
-        T, caption = best
-    if T is not None:
-        png = overlay_figure(a, b, T, (colours[0], colours[1]))
-        parts.append(picture(png, f"{second} laid over {first}", caption))
-    if alignment.matches:
-        note = f"{len(alignment.matches)} matched rooms; unmatched rooms are grey."
-        parts.append(
-            picture(matches_figure(a, b, alignment), f"matches of {first} and {second}", note)
-        )
-        parts.append(details("matched rooms", _matches_table(alignment)))
-    parts += [_alternatives(alignment), _transform_details(alignment, a, b), "</section>"]
-    return "".join(parts)
-
-
-def _best_alternative(alignment: Alignment) -> tuple[NDArray[np.float64], str] | None:
-    """The pose that came nearest to being accepted, with a caption that says it was not."""
-    if not alignment.alternatives:
-        return None
-    best = max(alignment.alternatives, key=lambda x: x.score)
-    caption = f"The best pose that was considered (score {best.score:.0f}). It was not accepted."
-    return best.T_a_b, caption
-
-
-def _matches_table(alignment: Alignment) -> str:
-    first, second = alignment.agents
-    rows = [[str(m.room_a), str(m.room_b), number(m.distance, 3)] for m in alignment.matches]
-    head = (f"room of {first}", f"room of {second}", "distance of descriptors")
-    return table(head, rows, "nnn")
-
-
-def _alternatives(alignment: Alignment) -> str:
-    """Table of the other poses, best first."""
-    if not alignment.alternatives:
-        return ""
-    ranked = sorted(alignment.alternatives, key=lambda x: -x.score)
-    top = max(alignment.score, ranked[0].score)
-    rows = []
-    for k, other in enumerate(ranked[:_MOST_ALTERNATIVES]):
-        share = number(100 * other.score / top, 0, "%") if top > 0 else "–"
-        where = [number(other.T_a_b[i, 3], 2) for i in range(3)]
-        yaw = number(_angles(other.T_a_b)[0], 1) + "°"
-        rows.append([str(k + 1), number(other.score, 0), share, yaw, *where])
-    head = ("", "score", "of the best", "yaw", "x / m", "y / m", "z / m")
-    title = "Other poses considered" if alignment.accepted else "Poses considered"
-    return f"<h3>{title}</h3>" + table(head, rows, "nnnnnnn")
-
-
-def _transform_details(alignment: Alignment, a: TopometricMap, b: TopometricMap) -> str:
-    """The 4 x 4 transform to copy."""
-    if alignment.T_a_b is None:
-        return ""
-    rows = "\n".join(" ".join(f"{value:12.6f}" for value in row) for row in alignment.T_a_b)
-    note = f"<p>p in {text(a.frame_id)} = T · p in {text(b.frame_id)}, metres</p>"
-    return details("transform as a matrix", f"{note}<pre>{rows}</pre>")
 
 
 def _maps_section(result: MergeResult, maps: Mapping[str, TopometricMap]) -> str:
@@ -339,14 +229,6 @@ def _source(agent: AgentPlacement) -> str:
     """The last part of where a map came from: the page should not depend on where files lie."""
     file, colon, topic = agent.source.partition(":")
     return PurePath(file).name + colon + topic
-
-
-def _sentence(reason: str) -> str:
-    """A reason with a full stop."""
-    reason = reason.strip()
-    if not reason:
-        return "No reason was given."
-    return reason if reason.endswith((".", "!", "?")) else reason + "."
 
 
 def _listed(names: Sequence[str]) -> str:

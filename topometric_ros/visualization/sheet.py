@@ -212,8 +212,11 @@ class Sheet:
         )
 
     def caption(self, x: float, y: float, text: str, size: float = 9.5, colour: str = INK) -> None:
-        """Write a line of text that starts at a place on the sheet."""
+        """Write a line of text that starts a little above a place on the sheet."""
+        self._head = max(self._head, 0.35 if size > 10 else 0.3)
+        self._seen.append((x, y, x, y))
         weight = "bold" if size > 10 else "normal"
+        y += 0.2
         self._axes.text(x, y, text, va="bottom", size=size, color=colour, weight=weight, zorder=9)
 
     def legend(self, entries: Sequence[tuple[str, str, str]]) -> None:
@@ -230,6 +233,8 @@ class Sheet:
         self._legend = handles
 
     _legend: Sequence[Any] = ()
+    _head: float = 0.0
+    """Room that captions need above the drawing, inches."""
 
     def png(self, width: float = 9.0, tallest: float = 8.0) -> bytes:
         """Return the picture, `width` inches wide or less and at most `tallest` inches high."""
@@ -238,6 +243,10 @@ class Sheet:
         )
         left, right, top = left - _MARGIN, right + _MARGIN, top + _MARGIN
         inch = min(width / (right - left), tallest / (top - bottom))
+        top += self._head / inch
+        # A narrow drawing gets paper beside it, for the scale bar and the legend below.
+        narrow = max(0.0, (2.0 + 1.45 * len(self._legend)) / inch - (right - left)) / 2
+        left, right = left - narrow, right + narrow
         below = 0.42 / inch
         bottom -= _MARGIN + below
         self._scale_bar(left + _MARGIN, bottom + 0.2 / inch, right - left, inch)
