@@ -18,10 +18,6 @@ from topometric_ros.extraction.viewpoints import ViewpointConfig
 PRESETS = ("default", "thesis")
 
 
-def _default_navigation() -> NavigationConfig:
-    return NavigationConfig(keep="all", connectivity="26")
-
-
 @dataclass(frozen=True)
 class ExtractionConfig:
     """From a cloud to a topometric map; the defaults are those of preset `default`."""
@@ -37,11 +33,13 @@ class ExtractionConfig:
     level: LevelConfig = field(default_factory=LevelConfig)
     storeys: StoreyConfig = field(default_factory=StoreyConfig)
     layers: LayersConfig = field(default_factory=LayersConfig)
-    navigation: NavigationConfig = field(default_factory=_default_navigation)
+    navigation: NavigationConfig = field(default_factory=lambda: NavigationConfig(keep="all"))
     viewpoints: ViewpointConfig = field(default_factory=lambda: ViewpointConfig(step=2))
     narrowings: NarrowingsConfig = field(default_factory=NarrowingsConfig)
     views: ThesisRoomsConfig = field(default_factory=ThesisRoomsConfig)
-    passages: PassageConfig = field(default_factory=lambda: PassageConfig(connectivity="26"))
+    passages: PassageConfig = field(
+        default_factory=lambda: PassageConfig(step=0.1, smallest_contact=3)
+    )
 
 
 def extraction_preset(name: str) -> ExtractionConfig:
