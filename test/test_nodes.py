@@ -98,7 +98,8 @@ def test_two_robots_recorded_scans_become_one_global_map(own: Graph, start: Any)
     T_true = np.array(json.loads((DEMO.parent / "demo.truth.json").read_text())["T_robot1_robot2"])
     names = ("robot1", "robot2")
     extractors = [
-        start(EXTRACTOR, "-r", f"__ns:=/{name}", "-r", "cloud:=scan_cloud") for name in names
+        start(EXTRACTOR, "-r", f"__ns:=/{name}", "-r", "cloud:=scan_cloud", "-p", "max_rate:=0.1")
+        for name in names
     ]
     merger = start(MERGER, "-p", "agents:=[/robot1, /robot2]")
     processes = (*extractors, merger)
@@ -199,6 +200,10 @@ def test_a_cloud_that_cannot_be_right_is_refused_and_the_next_good_one_works(
     publisher.publish(cloud_message(flat(), "bad/map"))
     wait_for(lambda: len(maps), WORK_S, "map of the good cloud", (process,))
 
+    refusals = set_parameters(own, "/bad/extractor", {"voxel_size": 0.2, "storeys.headroom": 99.0})
+    assert "read-only" in refusals[0]
+    assert "range" in refusals[1]
+
     path = tmp_path / "saved.tmap"
     request = service("SaveMap").Request(path=str(path))
     response = own.call(service("SaveMap"), "/bad/extractor/save_map", request)
@@ -211,6 +216,17 @@ def test_a_cloud_that_cannot_be_right_is_refused_and_the_next_good_one_works(
     assert response.code == 0
     assert response.session not in ("", session)
     assert process.stop(signal.SIGTERM) == 0
+
+
+def set_parameters(own: Graph, node: str, values: dict[str, float]) -> list[str]:
+    """Set parameters one by one over the node's service; return why each was refused."""
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    changes = [Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
+    request = SetParameters.Request(parameters=changes)
+    results = own.call(SetParameters, f"{node}/set_parameters", request).results
+    return ["" if result.successful else result.reason for result in results]
 
 
 def test_a_wrong_parameter_ends_the_node_with_one_line_and_status_two(start: Any) -> None:

@@ -27,9 +27,10 @@ from topometric_ros.nodes.extractor_report import ExtractorReport
 from topometric_ros.nodes.extractor_services import serve
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.messages import message_classes
-from topometric_ros.nodes.running import TopometricNode, log_to, run
+from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
 from topometric_ros.nodes.worker import Inbox, Worker
 from topometric_ros.runtime.agent_input import AgentInput
+from topometric_ros.runtime.agents_file import agent_of_namespace
 from topometric_ros.runtime.cloud_message import map_cloud
 from topometric_ros.runtime.extractor_session import ExtractorSession
 from topometric_ros.runtime.message_codec import map_to_message
@@ -57,7 +58,7 @@ class Extractor(TopometricNode):
         log_to(self)
         self._own, extraction = self._declare_parameters()
         self._wanted = extraction
-        agent = self._own.agent or self.get_namespace().strip("/").replace("/", "_") or "agent"
+        agent = self._own.agent or agent_of_namespace(self.get_namespace()) or "agent"
         matching = dataclasses.replace(
             matching_preset(self._own.preset), descriptors=self._own.matching.descriptors
         )
@@ -72,7 +73,7 @@ class Extractor(TopometricNode):
         self._classes = message_classes()
         self.report = ExtractorReport()
         self.working = threading.Lock()
-        self.fresh = False
+        self._extracted: tuple[str, int, int] | None = None
         self._last_extraction = -float("inf")
         self._first_cloud: float | None = None
         self.clouds: Inbox[PointCloud2] = Inbox(self._own.scan_queue)
@@ -124,15 +125,23 @@ class Extractor(TopometricNode):
         self._transforms.put((tf.without_parent(message, self._own.global_frame), static))
 
     def _tick(self) -> None:
-        if len(self.clouds) or len(self._transforms) or self.fresh:
+        if len(self.clouds) or len(self._transforms) or self._is_fresh():
             self._worker.wake()
+
+    def _state(self) -> tuple[str, int, int]:
+        """Return what tells whether the session has taken anything since the last extraction."""
+        session = self.input.session
+        return session.session, session.counts.map_clouds, session.counts.scans
+
+    def _is_fresh(self) -> bool:
+        return self.input.session.has_input and self._state() != self._extracted
 
     def _work(self) -> None:
         """Take in what has arrived and, when it is time, extract and publish."""
         with self.working:
             self.take_in()
             due = time.monotonic() - self._last_extraction >= 1.0 / self._own.max_rate
-            if self.fresh and due:
+            if self._is_fresh() and due:
                 self.extract()
 
     def take_in(self, at_once: bool = False) -> None:
@@ -158,15 +167,13 @@ class Extractor(TopometricNode):
             self._publish_diagnostics()
             return
         self.report.refusal = ""
-        self.fresh = True
 
     def extract(self) -> None:
         """Extract and publish; raises what the session raises."""
         session = self.input.session
         if not session.has_input:
             return
-        self.fresh = False
-        self._last_extraction = time.monotonic()
+        self._extracted, self._last_extraction = self._state(), time.monotonic()
         session.extraction = self._wanted
         result = session.extract()
         m = result.map
@@ -182,7 +189,7 @@ class Extractor(TopometricNode):
 
     def failed(self, error: Exception) -> None:
         """Report what went wrong in the worker; the session keeps the map that it had."""
-        text = str(error) if isinstance(error, TopometricError) else f"unexpected: {error!r}"
+        text = describe_failure(error)
         if text != self.report.failure:
             self.get_logger().error(f"no map: {text}")
         self.report.failure = text

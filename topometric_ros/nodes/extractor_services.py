@@ -57,7 +57,6 @@ class _ExtractorServices:
         with self._node.working:
             self._node.clouds.take_all()
             self._node.input.session.reset()
-            self._node.fresh = False
             self._node.report = ExtractorReport()
             response.session = self._node.input.session.session
         response.code, response.message = response.SUCCESS, f"session {response.session} begins"

@@ -27,7 +27,7 @@ from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.merger_report import AgentInput, MergerReport
 from topometric_ros.nodes.merger_services import serve
 from topometric_ros.nodes.messages import message_classes
-from topometric_ros.nodes.running import TopometricNode, log_to, run
+from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
 from topometric_ros.nodes.worker import Inbox, Worker
 from topometric_ros.runtime.alignment_codec import alignments_to_message
 from topometric_ros.runtime.cloud_message import map_cloud
@@ -198,7 +198,7 @@ class Merger(TopometricNode):
 
     def failed(self, error: Exception) -> None:
         """Report what went wrong in the worker; the session keeps the result that it had."""
-        text = str(error) if isinstance(error, TopometricError) else f"unexpected: {error!r}"
+        text = describe_failure(error)
         if text != self.report.failure:
             self.get_logger().error(f"merging failed: {text}")
         self.report.failure = text

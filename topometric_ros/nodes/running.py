@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from topometric_ros.errors import TopometricError
 
+logger = logging.getLogger(__name__)
+
 BAD_INPUT = 2
+
+_LOOK_S = 0.2
+_CALLBACKS_S = 2.0
 
 
 class TopometricNode(Node):
@@ -26,42 +34,60 @@ class TopometricNode(Node):
 
 
 def run(make_node: Callable[[], TopometricNode], arguments: Sequence[str] | None) -> int:
-    """Spin a node until it is told to end; return the process's exit status.
+    """Spin a node until SIGINT or SIGTERM; return the process's exit status.
 
-    Zero after SIGINT and SIGTERM, two with one line in the log where it refuses its parameters.
+    Zero after a signal, two with one line in the log where the node refuses its parameters.
+
+    The signals only set a flag: rclpy's own handlers shut the middleware down at once, under
+    whatever thread is publishing at that moment.
     """
-    rclpy.init(args=list(sys.argv if arguments is None else arguments))
-    node: TopometricNode | None = None
+    told_to_end = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: told_to_end.set())
+    rclpy.init(
+        args=list(sys.argv if arguments is None else arguments),
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
     # Services may wait for a computation, so they have a thread beside the subscriptions' own.
     executor = MultiThreadedExecutor(num_threads=2)
-    status = 0
     try:
         node = make_node()
-        executor.add_node(node)
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     except TopometricError as error:
         rclpy.logging.get_logger("topometric_ros").fatal(str(error))
-        status = BAD_INPUT
-    except Exception:
-        # A signal while the node is being made shows as whatever call it interrupted.
-        if rclpy.ok():
-            raise
-    _end(node, executor, status)
-    return status
+        return BAD_INPUT
+    executor.add_node(node)
+    while not told_to_end.is_set():
+        executor.spin_once(timeout_sec=_LOOK_S)
+    _end(node, executor)
+    return 0
 
 
-def _end(node: TopometricNode | None, executor: MultiThreadedExecutor, status: int) -> None:
-    ended = node.close() if node is not None else True
-    executor.shutdown(timeout_sec=1.0)
-    if node is not None and ended:
-        node.destroy_node()
-    rclpy.try_shutdown()
+def _end(node: TopometricNode, executor: MultiThreadedExecutor) -> None:
+    """Take the node down from the top: the worker, the callbacks, then the middleware."""
+    ended = node.close() and _join(executor)
+    executor.shutdown()
     if not ended:
         # A computation that is still running would be torn down inside compiled code.
         sys.stdout.flush()
-        os._exit(status)
+        os._exit(0)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def _join(executor: MultiThreadedExecutor) -> bool:
+    """Wait for running callbacks, which Jazzy's own `shutdown` leaves behind."""
+    waiting = threading.Thread(target=executor._executor.shutdown, daemon=True)
+    waiting.start()
+    waiting.join(_CALLBACKS_S)
+    return not waiting.is_alive()
+
+
+def describe_failure(error: Exception) -> str:
+    """Return an error in one line; where it is none of ours, log where it came from as well."""
+    if isinstance(error, TopometricError):
+        return str(error)
+    logger.error("a fault of this program", exc_info=error)
+    return f"unexpected: {error!r}"
 
 
 class _ToRos(logging.Handler):
