@@ -35,7 +35,7 @@ def _stairs(steps: int) -> NDArray[np.float64]:
 _HOUSE = box_room((0, 0, 0), (8, 6, 2.6), (("x+", 3.0),), step=0.06)
 
 
-@pytest.mark.parametrize("angle", [0.7, 3.0, 8.0, 14.0])
+@pytest.mark.parametrize("angle", [2.0, 3.0, 8.0, 14.0])
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0.3, -1, 0)])
 def test_a_tilt_is_undone_to_a_twentieth_of_a_degree(
     angle: float, axis: tuple[float, float, float]
@@ -75,6 +75,15 @@ def test_a_long_corridor_stays_as_it_is() -> None:
     corridor = box_room((0, 0, 0), (40, 2, 2.6), step=0.08)
     level = estimate_level(corridor + (0.03, 0.04, 0.0), LevelConfig())
     assert np.array_equal(level.T_level_input, np.eye(4))
+
+
+def test_a_small_tilt_is_told_and_left() -> None:
+    points = moved(_HOUSE, _turn((1, 0, 0), 1.2))
+    level = estimate_level(points, LevelConfig())
+    assert np.array_equal(level.T_level_input, np.eye(4))
+    assert "1.2°" in level.warnings[0]
+    assert "level.smallest_tilt" in level.warnings[0]
+    assert estimate_level(points, LevelConfig(smallest_tilt=1.0)).tilt > 0.0
 
 
 def test_levelling_can_be_switched_off() -> None:

@@ -23,6 +23,7 @@ _LAYER = 0.05
 _FIT_BAND = 0.06
 _FIT_ROUNDS = 4
 _COARSE_STEP = 1.5
+_NOTICED_TILT = 0.5
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,14 @@ class LevelConfig:
         15.0, "Largest tilt that is looked for.", unit="deg", minimum=0.0, maximum=30.0
     )
     smallest_tilt: float = parameter(
-        0.4, "Smaller tilts are left as they are.", unit="deg", minimum=0.0, maximum=10.0
+        1.5,
+        "Smaller tilts are left as they are: a warped floor must not turn a frame that is level.",
+        unit="deg",
+        minimum=0.0,
+        maximum=10.0,
     )
     gain: float = parameter(
-        1.05, "Factor by which levelling must sharpen the layers.", minimum=1.0, maximum=10.0
+        1.3, "Factor by which levelling must sharpen the layers.", minimum=1.0, maximum=10.0
     )
     check_up: bool = parameter(True, "Compare the floor with what other axes would take for one.")
     doubt: float = parameter(
@@ -79,13 +84,21 @@ def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
     """
     cells = thin(points, _CELL)
     slope = _sharpest_slope(cells, config) if config.enabled else np.zeros(2)
+    tilt = float(np.arctan(np.hypot(*slope)))
+    told = tilt_warnings(tilt)
+    if 0.0 < np.degrees(tilt) < config.smallest_tilt:
+        told = (
+            f"the floor seems tilted by {np.degrees(tilt):.1f}° and was left so; set "
+            f"level.smallest_tilt, now {config.smallest_tilt:g}°, lower to level it",
+        )
+        slope, tilt = np.zeros(2), 0.0
     T = np.eye(4)
-    T[:3, :3] = _levelling_rotation(slope)
+    if tilt > 0.0:
+        T[:3, :3] = _levelling_rotation(slope)
     warnings = []
     if config.check_up:
         warnings += _doubt_of_up(_largest_layers(cells, T[2, :3]), config)
-    tilt = float(np.arctan(np.hypot(*slope)))
-    return Level(T, tilt, (*warnings, *tilt_warnings(tilt)))
+    return Level(T, tilt, (*warnings, *told))
 
 
 def tilt_warnings(tilt: float) -> tuple[str, ...]:
@@ -163,7 +176,7 @@ def _largest_layers(
 
 
 def _sharpest_slope(cells: NDArray[np.float64], config: LevelConfig) -> NDArray[np.float64]:
-    """Return the slope (2,) of the floors, 0 where levelling is not worth it.
+    """Return the slope (2,) of the floors, 0 where levelling would sharpen too little.
 
     Searched from coarse to fine, layers as thick as a step of the search moves the points; then a
     plane is fitted to the largest layer.
@@ -184,7 +197,7 @@ def _sharpest_slope(cells: NDArray[np.float64], config: LevelConfig) -> NDArray[
     before = _sharpness(sample, 0.0, 0.0, _LAYER)
     after = _sharpness(sample, slope[0], slope[1], _LAYER)
     tilt = np.degrees(np.arctan(np.hypot(*slope)))
-    if tilt < config.smallest_tilt or after < config.gain * before:
+    if tilt < _NOTICED_TILT or after < config.gain * before:
         return np.zeros(2)
     return slope
 
