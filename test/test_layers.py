@@ -87,3 +87,14 @@ def test_a_point_far_outside_the_building_is_named():
     points = np.concatenate([box_room((0.0, 0.0, 0.0), (5.0, 4.0, 2.6)), [[9e3, 9e3, 0.0]]])
     with pytest.raises(LayersError, match=r"900. m x 900. m"):
         storey_layers(points, [0.0], CONFIG)
+
+
+def test_a_sloping_floor_stays_free_floor_but_a_step_is_no_floor():
+    hall = box_room((0.0, 0.0, 0.0), (12.0, 3.0, 2.6))
+    sloping = hall + np.stack([np.zeros(len(hall))] * 2 + [hall[:, 0] * 0.025 - 0.03], -1)
+    (layers,) = storey_layers(thin(sloping, 0.05), [0.0], CONFIG)
+    assert value_at(layers, layers.bare, 0.5, 1.5)
+    assert value_at(layers, layers.bare, 11.5, 1.5), "0.27 m higher than where it begins"
+    podium = box_room((12.1, 0.0, 0.28), (4.0, 3.0, 2.3))
+    (layers,) = storey_layers(thin(np.concatenate([hall, podium]), 0.05), [0.0], CONFIG)
+    assert not value_at(layers, layers.free, 14.0, 1.5)

@@ -25,6 +25,12 @@ CELL = 0.1
 BIN = 0.05
 """Height in metres of the bins whose number decides what is a wall and what is furniture."""
 
+_TILE = 1.0
+"""Edge in metres of the tiles in which a sloping floor is followed."""
+
+_POINTS_OF_TILE = 60
+"""Points within 6 cm of height that make a tile's floor; a full one has 400."""
+
 _PADDING = 12
 """Empty cells round each raster, so that closing and dilating never meet its edge."""
 
@@ -62,6 +68,10 @@ class LayersConfig:
         minimum=0.02,
         maximum=0.3,
     )
+    floor_drift: float = parameter(
+        0.3, "How far a sloping or drifting floor is followed; 0: not at all.", unit="m",
+        minimum=0.0, maximum=0.6,
+    )  # fmt: skip
     floor_closing: int = parameter(
         3, "Radius in cells of the disk that closes gaps in the seen floor.", minimum=0, maximum=10
     )
@@ -110,8 +120,8 @@ def refine_floor(points: NDArray[np.float64], z: float, config: LayersConfig) ->
     # Noise may put the floor on the border of two bins; a window of two keeps its peak whole.
     pairs = counts + np.append(counts[1:], 0)
     top = int(np.flatnonzero(pairs >= config.floor_share * pairs.max())[-1])
-    window = near[(bins == top) | (bins == top + 1)]
-    return float(z + np.median(window))
+    face = near[np.abs(near + config.floor_search_below - (top + 1) * step) <= 3 * step]
+    return float(z + np.median(face))
 
 
 def storey_layers(
@@ -140,8 +150,89 @@ def storey_layers(
     LayersError
         A storey spans more than 600 m x 600 m.
     """
-    columns = np.floor(points[:, :2] / CELL + 0.5).astype(np.int64)
-    return tuple(_layers_of_storey(columns, points[:, 2] - z, config) for z in floors)
+    result = []
+    for z in floors:
+        heights = points[:, 2] - z
+        # What may be of this storey once its floor is followed.
+        part = points[
+            (heights > -config.floor_tolerance - config.floor_drift)
+            & (heights < config.wall_top + config.floor_drift)
+        ]
+        _check_extent(part)
+        columns = np.floor(part[:, :2] / CELL + 0.5).astype(np.int64)
+        result.append(_layers_of_storey(columns, above_floor(part, z, config), config))
+    return tuple(result)
+
+
+def _check_extent(points: NDArray[np.float64]) -> None:
+    """Raise LayersError where points (P, 3) span more than rasters can hold."""
+    if len(points) == 0:
+        return
+    x, y = np.ptp(points[:, :2], axis=0)
+    if x * y > _MOST_CELLS * CELL**2:
+        raise LayersError(
+            f"a storey spans {x:.0f} m x {y:.0f} m: remove the points far outside the building"
+        )
+
+
+def above_floor(points: NDArray[np.float64], z: float, config: LayersConfig) -> NDArray[np.float64]:
+    """Return the height of every point above the floor below it: (P,) float64, m.
+
+    Floors slope and odometry drifts: over a real storey the floor's height varied by 0.2 m, more
+    than the noise that tells floor from what stands on it. So the floor is followed from tile to
+    tile of 1 m, from where it is at height `z`, as long as it rises or falls by 5 % at most; a
+    step, or the ceiling of the storey below seen through an unmapped floor, is not followed.
+    """
+    heights = points[:, 2] - z
+    tile = np.floor(points[:, :2] / _TILE).astype(np.int64)
+    near = np.abs(heights) < config.floor_drift
+    if config.floor_drift == 0.0 or not near.any():
+        return heights
+    low = tile[near].min(axis=0)
+    shape = tile[near].max(axis=0) - low + 1
+    offset = _followed(*_floor_of_tiles(tile[near] - low, heights[near], shape, config), config)
+    inside = np.clip(tile - low, 0, shape - 1)
+    return heights - offset[inside[:, 0], inside[:, 1]]
+
+
+def _floor_of_tiles(
+    tile: NDArray[np.int64],
+    heights: NDArray[np.float64],
+    shape: NDArray[np.int64],
+    config: LayersConfig,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return where most points of each tile lie in height, m, and whether they are many."""
+    step = 0.02
+    bins = np.floor((heights + config.floor_drift) / step).astype(np.int64)
+    number = int(np.ceil(2.0 * config.floor_drift / step)) + 1
+    flat = (tile[:, 0] * shape[1] + tile[:, 1]) * number + bins
+    counts = np.bincount(flat, minlength=int(shape[0] * shape[1]) * number)
+    counts = counts.reshape(int(shape[0]), int(shape[1]), number)
+    window = ndimage.uniform_filter1d(counts.astype(float), 3, mode="constant") * 3.0
+    fullest = window.argmax(axis=2)
+    many = window.max(axis=2) >= _POINTS_OF_TILE
+    return (fullest + 0.5) * step - config.floor_drift, many
+
+
+def _followed(
+    height: NDArray[np.float64], many: NDArray[np.bool_], config: LayersConfig
+) -> NDArray[np.float64]:
+    """Return the floor of every tile: that of the tiles reached, elsewhere the nearest's."""
+    rise = 0.05
+    reached = many & (np.abs(height) <= config.floor_tolerance / 2.0)
+    around = np.ones((3, 3))
+    while True:
+        weight = ndimage.convolve(reached.astype(float), around, mode="constant")
+        total = ndimage.convolve(np.where(reached, height, 0.0), around, mode="constant")
+        beside = total / np.maximum(weight, 1.0)
+        more = many & ~reached & (weight > 0.0) & (np.abs(height - beside) <= rise)
+        if not more.any():
+            break
+        reached |= more
+    if not reached.any():
+        return np.zeros(height.shape)
+    index = ndimage.distance_transform_edt(~reached, return_distances=False, return_indices=True)
+    return height[index[0], index[1]]
 
 
 def _layers_of_storey(
@@ -155,11 +246,6 @@ def _layers_of_storey(
         return StoreyLayers(CELL, (0.0, 0.0), empty, empty, empty, empty)
     low = columns.min(axis=0) - _PADDING
     shape = columns.max(axis=0) - low + 1 + _PADDING
-    if int(shape[0]) * int(shape[1]) > _MOST_CELLS:
-        raise LayersError(
-            f"a storey spans {shape[0] * CELL:.0f} m x {shape[1] * CELL:.0f} m: "
-            "remove the points far outside the building"
-        )
     wall_bins, furniture_bins, floor = _count_bins(
         columns - low,
         heights,

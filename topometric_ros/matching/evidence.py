@@ -91,7 +91,7 @@ def evaluate(
     """
     fields_a, fields_b = prepare(a, config), prepare(b, config)
     pose = pose_of(T_a_b)
-    back = pose_of(np.linalg.inv(pose.matrix()))
+    back = pose_of(np.asarray(np.linalg.inv(pose.matrix()), np.float64))
     ways = [
         _one_way(fields_a, fields_b, pose, config),
         _one_way(fields_b, fields_a, back, config),
@@ -173,8 +173,10 @@ def _one_way(
         total += _count(a.storeys[i], b.storeys[j], pose, config.conflict_depth / CELL)
     xx, xy, yy = total[6:9]
     smallest = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)
-    counts = (int(value) for value in total[:6])
-    return float(score), _Counts(*counts, smallest_eigenvalue=float(smallest) * CELL)
+    agree, conflict, same_side, free, placed, displaced = (int(value) for value in total[:6])
+    return float(score), _Counts(
+        agree, conflict, same_side, free, placed, displaced, float(smallest) * CELL
+    )
 
 
 def _count(a: StoreyFields, b: StoreyFields, pose: Pose, depth: float) -> NDArray[np.float64]:

@@ -46,7 +46,7 @@ class _Pass:
     """Milder than the score's own while poses are still rough; None: as configured."""
 
     def turns(self) -> NDArray[np.float64]:
-        return np.radians(_grid(*self.turn))
+        return _grid(*self.turn) * (np.pi / 180.0)
 
     def shifts(self) -> NDArray[np.float64]:
         return _grid(*self.shift)
@@ -59,7 +59,7 @@ _LAST = (_Pass((0.45, 0.15), (0.1, 0.05)), _Pass((0.3, 0.1), (0.06, 0.03)))
 
 def _grid(half: float, step: float) -> NDArray[np.float64]:
     n = round(half / step)
-    return np.arange(-n, n + 1) * step
+    return np.arange(-n, n + 1, dtype=np.float64) * step
 
 
 @dataclass

@@ -8,6 +8,7 @@ asked for: proposing yaws from wall directions misses buildings without a main o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -116,7 +117,7 @@ def _draw(
     at_wall = index(storey.walls)
     count = np.bincount(at_wall, minlength=size)
     sides = storey.wall_sides @ R.T
-    layers = [count > 0]
+    layers: list[NDArray[Any]] = [count > 0]
     for axis in (0, 1):
         total = np.bincount(at_wall, weights=sides[:, axis], minlength=size)
         layers.append(total / np.maximum(count, 1))
