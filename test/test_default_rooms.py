@@ -14,10 +14,11 @@ from topometric_ros.extraction.pieces import markers, watershed
 from topometric_ros.extraction.storeys import (
     RASTER,
     StoreyConfig,
+    StoreyHeights,
     assign_storeys,
     find_storeys,
 )
-from topometric_ros.extraction.walls import MARGIN, StoreyRaster
+from topometric_ros.extraction.walls import MARGIN, StoreyRaster, WallsConfig, storey_raster
 from topometric_ros.voxels.grid import VoxelGrid, voxelise
 
 _WALL = 0.12
@@ -127,6 +128,31 @@ def test_rooms_do_not_depend_on_a_translation_by_whole_voxels() -> None:
     moved_order = np.lexsort(moved_grid.coords.T)
     assert np.array_equal(grid.coords[order] + shift, moved_grid.coords[moved_order])
     assert np.array_equal(labels[order], moved_labels[moved_order])
+
+
+def test_a_sloped_roof_is_no_wall() -> None:
+    points = box_room((0, 0, 0), (8, 5, 2.6))
+    side = points[points[:, 2] < 2.0]
+    u, v = np.meshgrid(np.arange(0, 3.5, 0.04), np.arange(0, 5, 0.04))
+    roof = np.stack([u.ravel(), v.ravel(), 1.2 + 0.4 * u.ravel()], -1)
+    flat = points[(points[:, 2] > 2.59) & (points[:, 0] > 3.5)]
+    cloud = np.concatenate([side, roof, flat])
+    walls = []
+    for sloped in (True, False):
+        grid, cell_of_point = voxelise(cloud, RASTER, np.zeros(3))
+        heights = np.bincount(cell_of_point, weights=cloud[:, 2]) / np.bincount(cell_of_point)
+        everything = np.ones(len(grid), bool)
+        raster = storey_raster(
+            sort_columns(grid.coords),
+            heights,
+            everything,
+            StoreyHeights(0.0, 2.6, True),
+            WallsConfig(smallest_count=1, sloped_roofs=sloped),
+        )
+        inside = np.s_[MARGIN + 15 : MARGIN + 30, MARGIN + 8 : MARGIN + 42]
+        walls.append(raster.wall[inside].mean())
+    assert walls[0] < 0.05
+    assert walls[1] > 0.3
 
 
 def test_what_lies_far_from_every_room_belongs_to_none() -> None:

@@ -121,9 +121,10 @@ def storey_raster(
     bottom = min(config.band_bottom, height - config.band_height)
     wall = count(bottom, height - config.band_top) >= config.smallest_count
     closing = config.closing / RASTER
-    wall = closed(wall, closing)
     if config.sloped_roofs:
         wall = _without_roofs(wall, count(0.3, 1.5) >= config.roof_support, closing)
+    else:
+        wall = closed(wall, closing)
     observed = np.zeros(shape, bool)
     observed[tuple(cells.T)] = True
     domain = closed(observed, closing) & ~wall
@@ -133,8 +134,12 @@ def storey_raster(
 
 
 def _without_roofs(
-    wall: NDArray[np.bool_], support: NDArray[np.bool_], radius: float
+    seen: NDArray[np.bool_], support: NDArray[np.bool_], radius: float
 ) -> NDArray[np.bool_]:
-    """Drop thick wall that stands on nothing (change C of the recipe)."""
+    """Close walls and drop what is thick and stands on nothing (change C of the recipe).
+
+    The recipe drops closed cells too; those are the insides of thick walls and stay here.
+    """
+    wall = closed(seen, radius)
     supported = ndimage.binary_dilation(support, np.ones((3, 3), bool))
-    return wall & ~(opened(wall, radius) & ~supported)
+    return wall & ~(opened(wall, radius) & ~supported & seen)
