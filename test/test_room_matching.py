@@ -62,9 +62,9 @@ def test_more_rooms_on_one_side_leave_rooms_unmatched() -> None:
 def test_context_adds_weighted_neighbours_at_every_step() -> None:
     graph = chain(CENTROIDS[:3])
     features = np.array([[1.0], [10.0], [100.0]])
-    once = contextual(features, graph, ContextConfig(weight=0.5, steps=1))
+    once = contextual(features, graph, ContextConfig("convolution", 0.5, 1))
     assert once.ravel().tolist() == [6.0, 60.5, 105.0]
-    twice = contextual(features, graph, ContextConfig(weight=0.5, steps=2))
+    twice = contextual(features, graph, ContextConfig("convolution", 0.5, 2))
     assert twice.ravel().tolist() == [36.25, 116.0, 135.25]
 
 

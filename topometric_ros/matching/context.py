@@ -47,7 +47,8 @@ def contextual(features: Features, graph: RoomGraph, config: ContextConfig) -> F
     Examples
     --------
     >>> chain = RoomGraph((0, 1), np.zeros((2, 3)), np.zeros(2), np.ones(2), ((1,), (0,)), {})
-    >>> contextual(np.array([[1.0], [3.0]]), chain, ContextConfig(weight=0.5)).tolist()
+    >>> config = ContextConfig("convolution", weight=0.5)
+    >>> contextual(np.array([[1.0], [3.0]]), chain, config).tolist()
     [[2.5], [3.5]]
     """
     if config.kind != "convolution":
