@@ -35,6 +35,8 @@ GOOD = Evidence(
     furniture_judged=0,
     furniture_conflict_cells=0,
     furniture_conflict=0.0,
+    wall_in_view=1200,
+    wall_absent=0.012,
     storeys=1,
     centre=(0.0, 0.0, 0.0),
 )
@@ -181,3 +183,34 @@ def test_changed_furniture_is_forgiven_only_on_demand_and_without_a_rival():
     assert objection(other_day, 900.0, 0.0, lenient) is None
     assert objection(other_day, 900.0, 0.2, lenient) is not None
     assert objection(good(wall_conflict=0.07), 900.0, 0.0, lenient) is not None
+
+
+def test_a_look_alike_that_lacks_walls_does_not_block_a_clean_pose():
+    lacking = good(value=700.0, score=700.0, wall_absent=0.05)
+    decision = decide([at(0.0), at(30.0, lacking, yaw=np.pi)], CONFIG)
+    assert decision.status is AlignmentStatus.ACCEPTED
+    assert "lacks 5.0% of the walls in view" in decision.reason
+    assert decision.confidence < 0.7
+
+
+@pytest.mark.parametrize(
+    ("best", "rival"),
+    [
+        ({}, {"wall_absent": 0.029}),
+        ({"wall_absent": 0.03}, {"wall_absent": 0.09}),
+        ({"wall_in_view": 200}, {"wall_absent": 0.05}),
+        ({"wall_conflict": 0.008}, {"wall_absent": 0.05}),
+        ({"value": 820.0, "score": 820.0}, {"wall_absent": 0.05}),
+    ],
+)
+def test_a_look_alike_still_blocks_a_pose_that_is_not_clean_or_not_ahead(best, rival):
+    rival = {"value": 700.0, "score": 700.0} | rival
+    decision = decide([at(0.0, good(**best)), at(30.0, good(**rival), yaw=np.pi)], CONFIG)
+    assert decision.status is AlignmentStatus.AMBIGUOUS
+
+
+def test_one_look_alike_with_all_its_walls_is_enough_to_block():
+    lacking = good(value=700.0, score=700.0, wall_absent=0.05)
+    twin = good(value=690.0, score=690.0)
+    decision = decide([at(0.0), at(30.0, lacking), at(60.0, twin)], CONFIG)
+    assert decision.status is AlignmentStatus.AMBIGUOUS

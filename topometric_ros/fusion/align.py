@@ -25,7 +25,7 @@ from topometric_ros.fusion.registration import (
     RegistrationError,
     register,
 )
-from topometric_ros.fusion.verification import Decision, Judged, decide, missed_gate
+from topometric_ros.fusion.verification import Decision, Judged, decide, missed_gate, objection
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate, refine
 from topometric_ros.matching.propose import propose_from_rooms, room_distances
@@ -150,7 +150,7 @@ def _registered(
     watch: Stopwatch,
 ) -> Alignment:
     """Register an accepted candidate and judge it again where it ends."""
-    candidate, before = best
+    candidate = best[0]
     alternatives = _alternatives(a, b, decision)
     try:
         with watch.stage("registration"):
@@ -162,16 +162,14 @@ def _registered(
     with watch.stage("evidence"):
         evidence = evaluate(a.fields, b.fields, T, _scoring(config))
     moved = apart(T, candidate.T_a_b, np.array([evidence.centre]))
-    objection = missed_gate(evidence, config.verification)
-    if objection is not None and missed_gate(before, config.verification) is not None:
-        objection = None  # accepted in spite of that gate, as maps of different days may be
+    refusal = objection(evidence, decision.gap, decision.ratio, config.verification)
     if moved > config.largest_correction:
-        objection = (
+        refusal = (
             f"registration moved the pose by {moved:.2f} m, at most "
             f"{config.largest_correction:g} m are believed"
         )
-    if objection is not None:
-        refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {objection}")
+    if refusal is not None:
+        refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {refusal}")
         return replace(refused, alternatives=alternatives, score=evidence.value)
     return _accepted(a, b, result, decision, alternatives[1:], evidence, config, watch)
 
@@ -213,9 +211,9 @@ def _believed(
     checked = "it was not verified"
     if config.check == "gates":
         checked = "it passes the gates"
-        objection = missed_gate(evidence, config.verification)
-        if objection is not None:
-            refused = _refused(a, b, AlignmentStatus.REJECTED, objection)
+        missed = missed_gate(evidence, config.verification)
+        if missed is not None:
+            refused = _refused(a, b, AlignmentStatus.REJECTED, missed)
             pose = Alternative(_to_input(a, b, result.T_target_source), evidence.value)
             return replace(refused, alternatives=(pose,), score=evidence.value)
     decision = Decision(

@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topometric_ros.alignment import AlignmentStatus, Alternative
 from topometric_ros.configuration import parameter
+from topometric_ros.fusion.rivals import Judged, difference, disproved_margin, distinct
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence
-from topometric_ros.matching.search_poses import pose_of, same_pose
-
-Judged = tuple[Candidate, Evidence]
 
 _ALTERNATIVES = 5
 
@@ -137,7 +134,8 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
             None,
         )
     best = order[0]
-    rivals = _distinct(judged, order, config)
+    reach = (config.same_distance, float(np.radians(config.same_angle)), config.same_height)
+    rivals = distinct(judged, order, reach)
     first = judged[best][1]
     second = judged[rivals[1]][1].value if len(rivals) > 1 else 0.0
     gap = first.value - second
@@ -154,12 +152,15 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
     refusal = objection(first, gap, ratio, config)
     if refusal is not None:
         return decision(AlignmentStatus.REJECTED, refusal, 0.0)
-    trust = confidence(gap, ratio, config)
+    near = [
+        judged[k][1] for k in rivals[1:] if judged[k][1].value > config.clear_ratio * first.value
+    ]
+    trust = max(confidence(gap, ratio, config), _told_apart(first, near, gap, config))
     if trust < 0.5:
         rival = judged[rivals[1]][0] if len(rivals) > 1 else None
         reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
-    return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio), trust)
+    return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio, near), trust)
 
 
 def confidence(gap: float, ratio: float, config: VerificationConfig) -> float:
@@ -177,7 +178,19 @@ def confidence(gap: float, ratio: float, config: VerificationConfig) -> float:
             (config.wide_gap, config.wide_ratio),
         )
     )
+    return _as_confidence(margin)
+
+
+def _as_confidence(margin: float) -> float:
+    """Map a margin, 1 where a rule is just met, to 0..1 with 0.5 there."""
     return float(max(0.0, margin) / (1.0 + max(0.0, margin)))
+
+
+def _told_apart(
+    best: Evidence, near: Sequence[Evidence], gap: float, config: VerificationConfig
+) -> float:
+    """Return the confidence in a pose all of whose near rivals lack walls that they should show."""
+    return _as_confidence(min(gap / max(config.clear_gap, 1e-9), disproved_margin(best, near)))
 
 
 def objection(
@@ -247,12 +260,16 @@ def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationCo
     )
 
 
-def _why_accepted(e: Evidence, ratio: float) -> str:
+def _why_accepted(e: Evidence, ratio: float, near: Sequence[Evidence]) -> str:
     furniture = f" and {e.furniture_conflict:.0%} of the furniture" if e.furniture_judged else ""
+    lacking = ""
+    if disproved_margin(e, near) >= 1.0:
+        absent = min(rival.wall_absent for rival in near)
+        lacking = f" but lacks {absent:.1%} of the walls in view, this one {e.wall_absent:.1%}"
     return (
         f"{e.agreed_wall:.0f} m of wall and {e.free_floor:.0f} m² of free floor agree, "
         f"{e.wall_conflict:.1%} of the walls{furniture} conflict, "
-        f"the next best pose reaches {ratio:.0%} of the value"
+        f"the next best pose reaches {ratio:.0%} of the value{lacking}"
     )
 
 
@@ -270,7 +287,7 @@ def _why_ambiguous(
             f"the best pose leads by only {gap:.0f}, at least {config.clear_gap:g} are needed: "
             "let the maps share more rooms"
         )
-    shift, turn = _difference(candidate.T_a_b, rival.T_a_b, evidence.centre)
+    shift, turn = difference(candidate.T_a_b, rival.T_a_b, evidence.centre)
     limits = f"{ratio:.0%} of it, at most {config.wide_ratio:.0%} allowed"
     if gap < config.wide_gap:
         limits = (
@@ -281,29 +298,3 @@ def _why_ambiguous(
         f"another pose, {shift:.1f} m and {turn:.0f}° away, fits nearly as well: "
         f"value {second:.0f} against {evidence.value:.0f}, {limits}"
     )
-
-
-def _difference(
-    one: NDArray[np.float64], other: NDArray[np.float64], centre: tuple[float, float, float]
-) -> tuple[float, float]:
-    """How far (m) and by what angle (degrees) a second pose moves the walls in common."""
-    point = np.array([*centre, 1.0])
-    shift = float(np.linalg.norm((one @ point - other @ point)[:3]))
-    cosine = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1.0) / 2.0
-    return shift, float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
-
-def _distinct(
-    judged: Sequence[Judged], order: Sequence[int], config: VerificationConfig
-) -> list[int]:
-    """Return the candidates, best first, without those that are one with a better one."""
-    reach = (config.same_distance, float(np.radians(config.same_angle)), config.same_height)
-    kept: list[int] = []
-    for k in order:
-        pose = pose_of(judged[k][0].T_a_b)
-        if not any(
-            same_pose(pose_of(judged[j][0].T_a_b), pose, np.array(judged[j][1].centre[:2]), reach)
-            for j in kept
-        ):
-            kept.append(k)
-    return kept

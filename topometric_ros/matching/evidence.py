@@ -33,6 +33,12 @@ from topometric_ros.topometric_map import TopometricMap
 _NEAR = 1.5
 """Cells within which a wall stands on a wall, or furniture on furniture."""
 
+_IN_FRONT = (3, 4, 5)
+"""Cells in front of a wall, on its free side: where two of them are free, it was in plain view."""
+
+_THERE, _ABSENT = 2.0, 3.0
+"""Cells to the nearest wall up to which a wall in plain view is there, and past which it is not."""
+
 _SCORE_ZERO_AT_WALLS = 0.1
 _SCORE_ZERO_AT_FURNITURE = 0.5
 _FURNITURE_COUNTS_FROM = 20
@@ -65,6 +71,10 @@ class Evidence:
     furniture_conflict_cells: int
     furniture_conflict: float
     """Share of the furniture seen by one where the other saw the bare floor."""
+    wall_in_view: int
+    """Wall cells of either map in front of which the other saw free floor: it had to see them."""
+    wall_absent: float
+    """Share of those where the other has no wall: a door, say, where there should be none."""
     storeys: int
     """Storeys that the pose brings together."""
     centre: tuple[float, float, float]
@@ -106,6 +116,7 @@ def evaluate(
     value = score * max(0.0, 1.0 - wall[0] / _SCORE_ZERO_AT_WALLS)
     if furniture[1] >= _FURNITURE_COUNTS_FROM:
         value *= max(0.0, 1.0 - furniture[0] / _SCORE_ZERO_AT_FURNITURE)
+    in_view, absent = (sum(c.in_view for c in counts), sum(c.absent for c in counts))
     centre = common_centre(compare(fields_a, fields_b, pose.height, None), pose)
     return Evidence(
         score=score,
@@ -119,6 +130,8 @@ def evaluate(
         furniture_judged=furniture[2],
         furniture_conflict_cells=furniture[1],
         furniture_conflict=furniture[0],
+        wall_in_view=in_view,
+        wall_absent=_share(absent, in_view - absent),
         storeys=len(storey_pairs(fields_a, fields_b, pose.height)),
         centre=(float(centre[0]), float(centre[1]), 0.0),
     )
@@ -143,13 +156,15 @@ def refine(
 class _Counts:
     """Cells of one map judged in the other's tables."""
 
+    smallest_eigenvalue: float
     agree: int
     conflict: int
     same_side: int
     free: int
     furniture_agree: int
     furniture_conflict: int
-    smallest_eigenvalue: float
+    in_view: int
+    absent: int
 
     @property
     def furniture_judged(self) -> int:
@@ -168,19 +183,17 @@ def _one_way(
     comparison = compare(a, b, pose.height, None)
     still = np.zeros(1)
     score = score_around(comparison, pose, np.zeros(2), still, still, weights)[0, 0, 0]
-    total = np.zeros(9)
+    total = np.zeros(11)
     for i, j in storey_pairs(a, b, pose.height):
         total += _count(a.storeys[i], b.storeys[j], pose, config.conflict_depth / CELL)
-    xx, xy, yy = total[6:9]
+    xx, xy, yy = total[8:11]
     smallest = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)
-    agree, conflict, same_side, free, placed, displaced = (int(value) for value in total[:6])
-    return float(score), _Counts(
-        agree, conflict, same_side, free, placed, displaced, float(smallest) * CELL
-    )
+    counts = [int(n) for n in total[:8]]
+    return float(score), _Counts(float(smallest) * CELL, *counts)
 
 
 def _count(a: StoreyFields, b: StoreyFields, pose: Pose, depth: float) -> NDArray[np.float64]:
-    """Counts of one pair of storeys, in the order of `_Counts`, then Σ n nᵀ (xx, xy, yy)."""
+    """Counts of one pair of storeys, in the order of `_Counts`, and last Σ n nᵀ (xx, xy, yy)."""
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
     start = (np.array([pose.x, pose.y]) - a.origin) / CELL
     walls = _count_walls(
@@ -191,7 +204,12 @@ def _count(a: StoreyFields, b: StoreyFields, pose: Pose, depth: float) -> NDArra
     placed, displaced = _count_furniture(
         a.furniture_distance, a.bare_depth, b.furniture, c, s, start, depth
     )
-    return np.array([agree, conflict, same_side, free, placed, displaced, xx, xy, yy], float)
+    in_view, absent = _count_in_view(
+        a.kind, a.wall_distance, b.walls, b.wall_sides, c, s, start, np.array(_IN_FRONT)
+    )
+    return np.array(
+        [agree, conflict, same_side, free, placed, displaced, in_view, absent, xx, xy, yy], float
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -218,6 +236,37 @@ def _count_walls(  # type: ignore[no-untyped-def]
         elif free_depth[i, j] >= depth:
             conflict += 1
     return agree, conflict, same, xx, xy, yy
+
+
+@njit(cache=True, nogil=True)
+def _count_in_view(  # type: ignore[no-untyped-def]
+    kind, wall_distance, walls, wall_sides, c, s, start, in_front
+):
+    """Wall cells in front of which the other map saw free floor, and those it has no wall for."""
+    in_view, absent = 0, 0
+    for w in range(len(walls)):
+        nx, ny = wall_sides[w]
+        if nx * nx + ny * ny < 0.25:
+            continue
+        free = 0
+        for cells in in_front:
+            x = walls[w, 0] + cells * CELL * nx
+            y = walls[w, 1] + cells * CELL * ny
+            i = int(np.floor((c * x - s * y) / CELL + start[0] + 0.5))
+            j = int(np.floor((s * x + c * y) / CELL + start[1] + 0.5))
+            if i >= 0 and j >= 0 and i < kind.shape[0] and j < kind.shape[1]:
+                free += kind[i, j] == 1
+        i = int(np.floor((c * walls[w, 0] - s * walls[w, 1]) / CELL + start[0] + 0.5))
+        j = int(np.floor((s * walls[w, 0] + c * walls[w, 1]) / CELL + start[1] + 0.5))
+        outside = i < 0 or j < 0 or i >= kind.shape[0] or j >= kind.shape[1]
+        if free < 2 or outside:
+            continue
+        if wall_distance[i, j] <= _THERE:
+            in_view += 1
+        elif wall_distance[i, j] > _ABSENT:
+            in_view += 1
+            absent += 1
+    return in_view, absent
 
 
 @njit(cache=True, nogil=True)
