@@ -64,7 +64,7 @@ run-bag: setup
 	$(VENV)/bin/topometric replay $(BAG) -o $(OUT)
 
 bench: setup
-	$(VENV)/bin/python scripts/bench.py $(CLOUD)
+	$(VENV)/bin/python scripts/benchmark_extraction.py $(CLOUD)
 
 clean:
 	rm -rf build install log out dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

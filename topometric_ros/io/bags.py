@@ -18,6 +18,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from mcap.exceptions import McapError
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -218,9 +221,21 @@ def _check_file(path: Path) -> None:
         raise BagError(f"{path}: not an MCAP file: it starts with {start!r}")
     if end != _MCAP_MAGIC:
         raise BagError(
-            f"{path}: the MCAP file ends early: its footer is missing after {size} bytes; "
-            "`mcap recover` can save what is there"
+            f"{path}: the MCAP file ends early: {_whole_messages(path)} whole messages in {size} "
+            "bytes, then no footer; `mcap recover` makes a readable file of them"
         )
+
+
+def _whole_messages(path: Path) -> int:
+    """Return how many messages can be read before a cut-off MCAP file breaks."""
+    count = 0
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file).records:
+                count += isinstance(record, Message)
+        except (McapError, *_FAILURES):
+            logger.debug("%s breaks after %d messages", path, count)
+    return count
 
 
 def _open(path: Path) -> Reader:

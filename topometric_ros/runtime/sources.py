@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -48,13 +48,25 @@ class LoadedMap:
     timings: dict[str, float] = field(default_factory=dict)
 
 
+def _silent(_: str) -> None:
+    """Report no progress."""
+
+
 def load_sources(
-    texts: list[str],
+    texts: Sequence[str],
     config: ToolConfig,
-    options: InputOptions,
-    progress: Callable[[str], None],
+    options: InputOptions | None = None,
+    progress: Callable[[str], None] = _silent,
 ) -> list[LoadedMap]:
     """Return the map of every source, in their order.
+
+    Parameters
+    ----------
+    texts : clouds, `BAG:topic` or .tmap files, each with `ID=` before it where the agent's name
+        is not to be the topic's namespace or the file's stem
+    config : of the extraction and of the descriptors, see `runtime.config.load_config`
+    options : how to read them
+    progress : called with a word on what is being done
 
     Raises
     ------
@@ -63,6 +75,7 @@ def load_sources(
     """
     sources = [_named(parse_source(text)) for text in texts]
     require_distinct([source.agent or "" for source in sources])
+    options = options or InputOptions()
     return [load_source(source, config, options, progress) for source in sources]
 
 

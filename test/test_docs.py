@@ -1,0 +1,33 @@
+"""The documents name files that exist and numbers of commands that are in the repository."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+NAMED = re.compile(r"`((?:topometric_ros|test|scripts|config|launch|docs|bags|wheels)/[\w./-]+)`")
+LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_file_that_a_document_names_exists(document):
+    text = document.read_text(encoding="utf-8")
+    named = {ROOT / name for name in NAMED.findall(text)}
+    named |= {document.parent / name for name in LINK.findall(text)}
+    missing = sorted(str(path) for path in named if not path.exists())
+    assert not missing
+
+
+def test_the_thesis_table_covers_every_algorithm_and_equation():
+    text = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")
+    algorithms = {int(n) for n in re.findall(r"Algorithm (\d)", text)}
+    algorithms |= {int(n) for pair in re.findall(r"Algorithms (\d) and (\d)", text) for n in pair}
+    assert algorithms == set(range(1, 8))
+    covered: set[int] = set()
+    for first, last in re.findall(r"eq\. (\d+)(?:–(\d+))?", text):
+        covered |= set(range(int(first), int(last or first) + 1))
+    assert covered >= set(range(1, 54))
