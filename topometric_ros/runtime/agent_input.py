@@ -76,10 +76,8 @@ class AgentInput:
 
     def add_transforms(self, message: Any, static: bool) -> None:
         """Take a tf2_msgs/TFMessage; transforms that cannot be right are skipped and counted."""
-        try:
-            self.transforms.add_message(message, static)
-        except TransformError as error:
-            self._skip(str(error))
+        for reason in self.transforms.add_message(message, static):
+            self._skip(reason)
         self._place_waiting()
 
     def add_cloud(self, message: Any) -> None:

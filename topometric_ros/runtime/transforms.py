@@ -76,6 +76,10 @@ class TransformBuffer:
         if static:
             edge.stamps, edge.poses = [stamp], [T_parent_child]
             return
+        if self._history is not None and edge.stamps and stamp < edge.stamps[-1] - self._history:
+            # The clock was set back, as where a bag starts again: what was known is of another
+            # time, and next to it everything from now on would be too old to keep.
+            edge.stamps, edge.poses = [], []
         at = bisect.bisect_left(edge.stamps, stamp)
         if at < len(edge.stamps) and edge.stamps[at] == stamp:
             edge.poses[at] = T_parent_child
@@ -86,14 +90,24 @@ class TransformBuffer:
             old = bisect.bisect_left(edge.stamps, edge.stamps[-1] - self._history)
             del edge.stamps[:old], edge.poses[:old]
 
-    def add_message(self, message: Any, static: bool) -> None:
-        """Take every transform of a tf2_msgs/TFMessage of any library; raises as :meth:`add`."""
+    def add_message(self, message: Any, static: bool) -> list[str]:
+        """Take the transforms of a tf2_msgs/TFMessage of any library.
+
+        Returns
+        -------
+        Why transforms were refused, one sentence each: a bad one must not cost its neighbours, for
+        a latched message comes once.
+        """
+        refused = []
         for entry in message.transforms:
             stamp = entry.header.stamp.sec * _SECOND + entry.header.stamp.nanosec
-            T_parent_child = transform_matrix(entry.transform)
-            self.add(
-                entry.header.frame_id, entry.child_frame_id, stamp, T_parent_child, static=static
-            )
+            parent, child = entry.header.frame_id, entry.child_frame_id
+            try:
+                T_parent_child = transform_matrix(entry.transform)
+                self.add(parent, child, stamp, T_parent_child, static=static)
+            except TransformError as error:
+                refused.append(f"{child} in {parent}: {error}")
+        return refused
 
     def frames(self) -> set[str]:
         """Return the name of every frame in the tree."""
@@ -112,12 +126,12 @@ class TransformBuffer:
     def map_frame(self, frame: str) -> str:
         """Return the frame of the map that `frame` belongs to.
 
-        The topmost ancestor named `map` (or `.../map`), since some robots put an `earth` or `world`
-        above it; where there is none, the root of the tree.
+        The nearest ancestor named `map` (or `.../map`): what lies above it, an `earth`, a `world` or
+        the map of a whole fleet, is not the agent's own. Where there is none, the root of the tree.
         """
         chain = self.ancestors(frame)
-        named = [name for name in chain if name.rsplit("/", 1)[-1] == "map"]
-        return named[-1] if named else chain[-1]
+        named = (name for name in chain if name.rsplit("/", 1)[-1] == "map")
+        return next(named, chain[-1])
 
     def lookup(self, target: str, source: str, stamp: int) -> NDArray[np.float64]:
         """Return `T_target_source` (4, 4) at `stamp` (ns), interpolated between received poses.
