@@ -126,8 +126,8 @@ class TransformBuffer:
     def map_frame(self, frame: str) -> str:
         """Return the frame of the map that `frame` belongs to.
 
-        The nearest ancestor named `map` (or `.../map`): what lies above it, an `earth`, a `world` or
-        the map of a whole fleet, is not the agent's own. Where there is none, the root of the tree.
+        The nearest ancestor named `map` (or `.../map`): what lies above it, an `earth` or the map
+        of a whole fleet, is not the agent's own. Where there is none, the root of the tree.
         """
         chain = self.ancestors(frame)
         named = (name for name in chain if name.rsplit("/", 1)[-1] == "map")
