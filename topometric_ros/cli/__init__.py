@@ -1,0 +1,7 @@
+"""The `topometric` command."""
+
+import os
+
+# Our matrices are small: threads of BLAS' own doubled the CPU time of a merge, waiting for each other.
+# It reads this once, when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
