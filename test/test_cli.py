@@ -47,6 +47,18 @@ def fails(arguments: Sequence[object], capsys: pytest.CaptureFixture[str]) -> st
     return captured.err.strip()
 
 
+def test_help_does_not_wait_for_the_stages_to_be_imported() -> None:
+    code = (
+        "import sys\n"
+        "from topometric_ros.cli.main import parser\n"
+        "parser()\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'networkx', 'rosbags', 'matplotlib', 'rclpy'}\n"
+        "print(sorted(heavy & {*sys.modules}))\n"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
+
+
 def test_extract_writes_the_contract_s_files(extracted: Path) -> None:
     assert {p.name for p in extracted.iterdir()} == {
         *("map.json", "rooms.ply", "map.tmap", "timings.json")

@@ -1,4 +1,8 @@
-"""What the subcommands share: common arguments, progress on a terminal, results on stdout."""
+"""What the subcommands share: common arguments, progress on a terminal, results on stdout.
+
+A subcommand imports what it works with inside its functions: the stages take a second to import,
+which `--help` and a mistyped option should not cost.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,13 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from topometric_ros.runtime.agent_input import MODES
-from topometric_ros.runtime.config import ToolConfig, load_config, with_voxel_size
-from topometric_ros.runtime.sources import InputOptions
+from topometric_ros.runtime.agents_file import MODES
+
+if TYPE_CHECKING:
+    from topometric_ros.runtime.config import ToolConfig
+    from topometric_ros.runtime.sources import InputOptions
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -56,11 +62,15 @@ def add_verbose(command: argparse.ArgumentParser) -> None:
 
 def config_of(options: argparse.Namespace) -> ToolConfig:
     """Return the configuration that `--config` and `--voxel-size` name."""
+    from topometric_ros.runtime.config import load_config, with_voxel_size
+
     return with_voxel_size(load_config(options.config), options.voxel_size)
 
 
 def inputs_of(options: argparse.Namespace) -> InputOptions:
     """Return how the inputs are to be read."""
+    from topometric_ros.runtime.sources import InputOptions
+
     return InputOptions(options.up, options.mode, options.map_frame, options.seed)
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from topometric_ros.alignment import MergeResult
 from topometric_ros.cli.common import (
     add_arguments,
     config_of,
@@ -18,11 +17,10 @@ from topometric_ros.cli.common import (
     warning_lines,
 )
 from topometric_ros.errors import TopometricError
-from topometric_ros.fusion.merge import merge as merge_maps
-from topometric_ros.io.merge_files import merge_summary, rounded_timings, write_merge_files
-from topometric_ros.io.summaries import write_json
-from topometric_ros.runtime.sources import load_sources
-from topometric_ros.topometric_map import TopometricMap
+
+if TYPE_CHECKING:
+    from topometric_ros.alignment import MergeResult
+    from topometric_ros.topometric_map import TopometricMap
 
 
 class MergeArgumentError(TopometricError):
@@ -49,6 +47,10 @@ def add_parser(commands: Any) -> None:
 
 def merge(options: argparse.Namespace) -> int:
     """Load every source, merge the maps and write the result."""
+    from topometric_ros.fusion.merge import merge as merge_maps
+    from topometric_ros.io.merge_files import merge_summary, rounded_timings
+    from topometric_ros.runtime.sources import load_sources
+
     if len(options.sources) < 2:
         raise MergeArgumentError(
             f"merging takes at least two sources, got {len(options.sources)}: {options.sources[0]}"
@@ -75,7 +77,9 @@ def write_result(
     folder: Path, result: MergeResult, maps: list[TopometricMap], timings: dict[str, float]
 ) -> None:
     """Write the files of a merge with the report."""
-    from topometric_ros.visualization.report import write_report  # Imports matplotlib.
+    from topometric_ros.io.merge_files import rounded_timings, write_merge_files
+    from topometric_ros.io.summaries import write_json
+    from topometric_ros.visualization.report import write_report
 
     write_merge_files(folder, result)
     write_json(folder / "timings.json", rounded_timings(timings))

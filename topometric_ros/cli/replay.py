@@ -14,9 +14,6 @@ from topometric_ros.cli.common import (
     report,
 )
 from topometric_ros.cli.merge import result_lines, write_result
-from topometric_ros.io.merge_files import merge_summary, rounded_timings
-from topometric_ros.runtime.replay import find_agents
-from topometric_ros.runtime.replay import replay as replay_bags
 
 
 def add_parser(commands: Any) -> None:
@@ -46,6 +43,10 @@ def add_parser(commands: Any) -> None:
 
 def replay(options: argparse.Namespace) -> int:
     """Replay the bags and write what came of it."""
+    from topometric_ros.io.merge_files import merge_summary, rounded_timings
+    from topometric_ros.runtime.replay import find_agents
+    from topometric_ros.runtime.replay import replay as replay_bags
+
     config, progress = config_of(options), progress_of(options)
     agents = find_agents(options.bags)
     folder = output_folder(options)

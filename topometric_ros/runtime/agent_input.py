@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.pointcloud2 import CloudError, points_from_message
+from topometric_ros.runtime.agents_file import MODES
 from topometric_ros.runtime.extractor_session import ExtractorSession
 from topometric_ros.runtime.message_codec import stamp_of
 from topometric_ros.runtime.transforms import (
@@ -25,8 +26,6 @@ from topometric_ros.runtime.transforms import (
 )
 
 logger = logging.getLogger(__name__)
-
-MODES = ("auto", "map", "scan")
 
 
 class InputError(TopometricError):
