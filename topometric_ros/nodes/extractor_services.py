@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from topometric_msgs.srv import ExtractNow, Reset, SaveMap
 
-from topometric_ros.errors import TopometricError
 from topometric_ros.io.map_files import save_map
 from topometric_ros.nodes.extractor_report import ExtractorReport
-from topometric_ros.runtime.extractor_session import SessionError
+from topometric_ros.nodes.services import computed, offer, written
 
 if TYPE_CHECKING:
     from topometric_ros.nodes.extractor import Extractor
 
 
 def serve(node: Extractor) -> None:
-    """Offer the services of an extractor; they may wait for an extraction, in their own thread."""
+    """Offer the services of an extractor."""
     services = _ExtractorServices(node)
-    waiting = MutuallyExclusiveCallbackGroup()
-    for kind, name, answer in (
-        (ExtractNow, "~/extract_now", services.extract_now),
-        (Reset, "~/reset", services.reset),
-        (SaveMap, "~/save_map", services.save_map),
-    ):
-        node.create_service(kind, name, answer, callback_group=waiting)
+    offer(
+        node,
+        (
+            (ExtractNow, "~/extract_now", services.extract_now),
+            (Reset, "~/reset", services.reset),
+            (SaveMap, "~/save_map", services.save_map),
+        ),
+    )
 
 
 class _ExtractorServices:
@@ -34,16 +32,12 @@ class _ExtractorServices:
         self._node = node
 
     def extract_now(self, _request: Any, response: Any) -> Any:
+        def extract() -> None:
+            self._node.take_in(at_once=True)
+            self._node.extract()
+
         with self._node.working:
-            try:
-                self._node.take_in(at_once=True)
-                self._node.extract()
-            except SessionError as error:
-                response.code, response.message = response.NO_INPUT, str(error)
-                return response
-            except Exception as error:
-                self._node.failed(error)
-                response.code, response.message = response.FAILED, self._node.report.failure
+            if not computed(self._node, extract, response):
                 return response
             m = self._node.input.session.map
             if m is None:
@@ -56,7 +50,7 @@ class _ExtractorServices:
     def reset(self, _request: Any, response: Any) -> Any:
         with self._node.working:
             self._node.clouds.take_all()
-            self._node.input.session.reset()
+            self._node.input.reset()
             self._node.report = ExtractorReport()
             response.session = self._node.input.session.session
         response.code, response.message = response.SUCCESS, f"session {response.session} begins"
@@ -68,12 +62,6 @@ class _ExtractorServices:
         if m is None:
             response.code, response.message = response.NO_INPUT, "there is no map yet"
             return response
-        path = Path(request.path).expanduser().absolute()
-        try:
-            save_map(path, m)
-        except (OSError, TopometricError) as error:
-            response.code, response.message = response.FILE_ERROR, f"{path}: {error}"
-            return response
-        response.code, response.path = response.SUCCESS, str(path)
-        response.message = f"map {m.sequence} written to {path}"
+        if written(request.path, lambda path: save_map(path, m), response):
+            response.message = f"map {m.sequence} written to {response.path}"
         return response

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from topometric_msgs.srv import LoadMap, MergeNow, RemoveAlignment, Reset, SaveMap, SetAlignment
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.map_files import load_map, save_map
 from topometric_ros.nodes.merger_report import AgentInput, MergerReport
+from topometric_ros.nodes.services import computed, offer, written
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.transforms import TransformError
 
@@ -21,18 +20,19 @@ if TYPE_CHECKING:
 
 
 def serve(node: Merger) -> None:
-    """Offer the services of a merger; they may wait for a merge, in a thread of their own."""
+    """Offer the services of a merger."""
     services = _MergerServices(node)
-    waiting = MutuallyExclusiveCallbackGroup()
-    for kind, name, answer in (
-        (MergeNow, "~/merge_now", services.merge_now),
-        (Reset, "~/reset", services.reset),
-        (SaveMap, "~/save_map", services.save_map),
-        (LoadMap, "~/load_map", services.load_map),
-        (SetAlignment, "~/set_alignment", services.set_alignment),
-        (RemoveAlignment, "~/remove_alignment", services.remove_alignment),
-    ):
-        node.create_service(kind, name, answer, callback_group=waiting)
+    offer(
+        node,
+        (
+            (MergeNow, "~/merge_now", services.merge_now),
+            (Reset, "~/reset", services.reset),
+            (SaveMap, "~/save_map", services.save_map),
+            (LoadMap, "~/load_map", services.load_map),
+            (SetAlignment, "~/set_alignment", services.set_alignment),
+            (RemoveAlignment, "~/remove_alignment", services.remove_alignment),
+        ),
+    )
 
 
 class _MergerServices:
@@ -40,16 +40,12 @@ class _MergerServices:
         self._node = node
 
     def merge_now(self, _request: Any, response: Any) -> Any:
-        with self._node.working:
+        def merge() -> None:
             self._node.take_in()
-            try:
-                self._node.merge()
-            except SessionError as error:
-                response.code, response.message = response.NO_INPUT, str(error)
-                return response
-            except Exception as error:
-                self._node.failed(error)
-                response.code, response.message = response.FAILED, self._node.report.failure
+            self._node.merge()
+
+        with self._node.working:
+            if not computed(self._node, merge, response):
                 return response
             agents = self._node.session.result.agents if self._node.session.result else ()
             placed = [agent.id for agent in agents if agent.T_global_agent is not None]
@@ -76,15 +72,11 @@ class _MergerServices:
         if result is None:
             response.code, response.message = response.NO_INPUT, "there is no global map yet"
             return response
-        path = Path(request.path).expanduser().absolute()
-        fused = result.global_map
-        try:
-            save_map(path, fused.map, fused.agents, tuple(agent.id for agent in result.agents))
-        except (OSError, TopometricError) as error:
-            response.code, response.message = response.FILE_ERROR, f"{path}: {error}"
-            return response
-        response.code, response.path = response.SUCCESS, str(path)
-        response.message = f"global map written to {path}"
+        fused, observers = result.global_map, tuple(agent.id for agent in result.agents)
+        if written(
+            request.path, lambda path: save_map(path, fused.map, fused.agents, observers), response
+        ):
+            response.message = f"global map written to {response.path}"
         return response
 
     def load_map(self, request: Any, response: Any) -> Any:
