@@ -22,6 +22,7 @@ if missing():
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.parameter import Parameter
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
@@ -29,6 +30,7 @@ from visualization_msgs.msg import Marker
 from topometric_ros.nodes import parameters, qos, tf
 from topometric_ros.nodes.diagnostics import Level, Status, to_message
 from topometric_ros.nodes.markers import map_markers
+from topometric_ros.nodes.running import TopometricNode, spin
 from topometric_ros.nodes.worker import Inbox, Worker
 
 
@@ -154,6 +156,47 @@ def test_a_worker_goes_on_after_a_failure() -> None:
     worker.wake()
     assert done.wait(5.0)
     assert worker.stop(5.0)
+
+
+def test_a_callback_that_fails_does_not_end_the_node(context: Any) -> None:
+    node = rclpy.create_node("failing", context=context, use_global_arguments=False)
+    told_to_end = threading.Event()
+    calls: list[int] = []
+
+    def fail() -> None:
+        calls.append(1)
+        if len(calls) == 3:
+            told_to_end.set()
+        raise RuntimeError("one bad message")
+
+    node.create_timer(0.01, fail)
+    executor = MultiThreadedExecutor(num_threads=2, context=context)
+    executor.add_node(node)
+    spin(executor, told_to_end)
+    assert len(calls) >= 3
+    executor.shutdown()
+    node.destroy_node()
+
+
+def test_the_pace_is_kept_while_a_simulated_clock_stands_still(context: Any) -> None:
+    node = TopometricNode(
+        "pace",
+        context=context,
+        use_global_arguments=False,
+        parameter_overrides=[Parameter("use_sim_time", value=True)],
+    )
+    told_to_end = threading.Event()
+    node.create_timer(0.01, lambda: pytest.fail("no /clock was published"))
+    node.every(0.05, told_to_end.set)
+    executor = MultiThreadedExecutor(num_threads=2, context=context)
+    executor.add_node(node)
+    limit = threading.Timer(10.0, told_to_end.set)
+    limit.start()
+    spin(executor, told_to_end)
+    assert limit.is_alive()
+    limit.cancel()
+    executor.shutdown()
+    node.destroy_node()
 
 
 def tilted_map() -> TopometricMap:

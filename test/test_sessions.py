@@ -206,6 +206,18 @@ def test_clouds_taken_for_maps_before_tf_spoke_are_forgotten() -> None:
     assert (one.session.counts.map_clouds, one.session.counts.scans) == (0, 1)
 
 
+def test_a_reset_forgets_waiting_scans_and_what_clouds_were_taken_for() -> None:
+    one = AgentInput(session())
+    one.add_cloud(cloud(flat(), "lidar", START))
+    one.reset()
+    assert one.session.session == "robot1-1"
+    one.add_transforms(transforms(("map", "lidar", np.eye(4)), stamp=START + SECOND), False)
+    one.add_cloud(cloud(flat(), "lidar", START + 2 * SECOND))
+    one.reset()
+    one.add_transforms(transforms(("map", "lidar", np.eye(4)), stamp=START + 3 * SECOND), False)
+    assert (one.session.session, one.session.counts.scans) == ("robot1-2", 0)
+
+
 def test_a_cloud_that_cannot_be_used_changes_nothing() -> None:
     one = AgentInput(session())
     with pytest.raises(CloudError, match="point_step"):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
 
 from topometric_ros.nodes import qos
+from topometric_ros.nodes.running import TopometricNode
 
 TOPIC = "cloud"
 
@@ -23,7 +23,9 @@ class CloudSubscription:
     publishers late loses nothing that is latched.
     """
 
-    def __init__(self, node: Node, choice: str, receive: Callable[[PointCloud2], None]) -> None:
+    def __init__(
+        self, node: TopometricNode, choice: str, receive: Callable[[PointCloud2], None]
+    ) -> None:
         self._node = node
         self._choice = choice
         self._receive = receive
@@ -31,7 +33,7 @@ class CloudSubscription:
         self._profile = qos.cloud_profile(choice, self._offers())
         self._subscription = self._subscribe()
         if choice == "auto":
-            node.create_timer(_LOOK_PERIOD_S, self.look)
+            node.every(_LOOK_PERIOD_S, self.look)
 
     @property
     def topic(self) -> str:

@@ -105,8 +105,8 @@ class Extractor(TopometricNode):
         serve(self)
         tf.listen(self, self._on_transforms)
         self._cloud = CloudSubscription(self, self._own.cloud_qos, self._on_cloud)
-        self.create_timer(_PACE_S, self._tick)
-        self.create_timer(_REPORT_S, self._publish_diagnostics)
+        self.every(_PACE_S, self._tick)
+        self.every(_REPORT_S, self._publish_diagnostics)
 
     def close(self) -> bool:
         """Stop working; return False where an extraction would not end in time."""
@@ -155,8 +155,9 @@ class Extractor(TopometricNode):
             return
         for message in self.clouds.take_all():
             self._take_cloud(message)
-        if self.input.session.counts.map_clouds:
-            self.clouds.capacity = 1
+        # Of whole maps the latest serves; of scans none is dropped before the queue is full.
+        whole = self._own.mode == "map" or self.input.session.counts.map_clouds > 0
+        self.clouds.capacity = 1 if whole else self._own.scan_queue
 
     def _take_cloud(self, message: PointCloud2) -> None:
         try:

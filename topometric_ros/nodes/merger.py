@@ -92,9 +92,9 @@ class Merger(TopometricNode):
         self._markers = self.create_publisher(MarkerArray, "global_markers", qos.SNAPSHOT)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
         self._transforms = tf.create_publisher(self)
-        self.create_timer(_PACE_S, self._tick)
+        self.every(_PACE_S, self._tick)
         self.create_timer(1.0 / self._own.tf_rate, self._publish_transforms)
-        self.create_timer(_REPORT_S, self._publish_diagnostics)
+        self.every(_REPORT_S, self._publish_diagnostics)
 
     def close(self) -> bool:
         """Stop working; return False where a merge would not end in time."""

@@ -10,7 +10,8 @@ import threading
 from collections.abc import Callable, Sequence
 
 import rclpy
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -27,6 +28,14 @@ _CALLBACKS_S = 2.0
 
 class TopometricNode(Node):
     """A node that works on a thread of its own and can end it."""
+
+    def every(self, seconds: float, callback: Callable[[], None]) -> None:
+        """Call something at a fixed pace of true time.
+
+        A simulated clock stands still before its bag starts and when it has ended, with the last
+        messages still to be worked on.
+        """
+        self.create_timer(seconds, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> bool:
         """Stop working; return False where the work could not be ended in time."""
@@ -56,10 +65,18 @@ def run(make_node: Callable[[], TopometricNode], arguments: Sequence[str] | None
         rclpy.logging.get_logger("topometric_ros").fatal(str(error))
         return BAD_INPUT
     executor.add_node(node)
-    while not told_to_end.is_set():
-        executor.spin_once(timeout_sec=_LOOK_S)
+    spin(executor, told_to_end)
     _end(node, executor)
     return 0
+
+
+def spin(executor: Executor, told_to_end: threading.Event) -> None:
+    """Spin until told to end; what a callback raises is logged and ends that call only."""
+    while not told_to_end.is_set() and executor.context.ok():
+        try:
+            executor.spin_once(timeout_sec=_LOOK_S)
+        except Exception as error:
+            logger.error("a callback failed: %s", describe_failure(error))
 
 
 def _end(node: TopometricNode, executor: MultiThreadedExecutor) -> None:

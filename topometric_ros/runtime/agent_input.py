@@ -73,6 +73,13 @@ class AgentInput:
         self._most_waiting = waiting
         self._taken_as_map = ""
 
+    def reset(self) -> None:
+        """Forget every cloud, taken or waiting; a new session begins. Transforms stay."""
+        self._waiting.clear()
+        self._taken_as_map = ""
+        self.skipped, self.skipped_count = [], 0
+        self.session.reset()
+
     def add_transforms(self, message: Any, static: bool) -> None:
         """Take a tf2_msgs/TFMessage; transforms that cannot be right are skipped and counted."""
         for reason in self.transforms.add_message(message, static):
