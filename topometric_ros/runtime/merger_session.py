@@ -71,6 +71,7 @@ class MergerSession:
         self._known: dict[Pair, _Known] = {}
         self._fixed: dict[Pair, Alignment] = {}
         self._prepared: dict[str, Prepared] = {}
+        self._refused: dict[Pair, tuple[_Version, _Version]] = {}
 
     @property
     def stale(self) -> tuple[str, ...]:
@@ -218,24 +219,29 @@ class MergerSession:
     def _replaceable(
         self, agent: str, watch: Stopwatch, progress: Callable[[str], None] | None
     ) -> bool:
-        """Whether a newer session's map aligns with another agent, or the old one never did."""
+        """Whether a newer session's map aligns with an agent in place, or the old one never did."""
         agents = self.result.agents if self.result else ()
         placed = [place.id for place in agents if place.T_global_agent is not None]
-        if agent not in placed or len(placed) < 2:
+        # What was set by hand before the new session is gone; what is there means the new one.
+        by_hand = any(agent in pair for pair in self._fixed)
+        if agent not in placed or len(placed) < 2 or by_hand:
             return True
         new = self._newer_session[agent]
-        others = [self.maps[x] for x in self._order if x in self.maps and x != agent]
-        for other in others:
-            a, b = self._in_order(new, other)
+        for other in placed:
+            if other == agent:
+                continue
+            a, b = self._in_order(new, self.maps[other])
+            pair, versions = (a.agent, b.agent), (_version(a), _version(b))
+            if self._refused.get(pair) == versions:
+                continue
             if progress is not None:
                 progress(f"aligning {a.agent} and {b.agent}")
             one, two = self._prepare(a), self._prepare(b)
             alignment = align(one, two, self.config, watch)
             if alignment.accepted:
-                versions = (_version(a), _version(b))
-                held = support(alignment, one, two)
-                self._known[a.agent, b.agent] = _Known(alignment, versions, held)
+                self._known[pair] = _Known(alignment, versions, support(alignment, one, two))
                 return True
+            self._refused[pair] = versions
         return False
 
     def _align_again(
@@ -255,13 +261,19 @@ class MergerSession:
         one, two = self._prepare(a), self._prepare(b)
         new = align(one, two, self.config, watch)
         held = support(new, one, two)
-        if entry is not None and entry.alignment.accepted and self._same_sessions(a, b, entry):
+        if entry is not None and self._in_use(pair, entry) and self._same_sessions(a, b, entry):
             with watch.stage("stability"):
                 new, held = steadier(entry.alignment, entry.support, new, one, two, self.config)
         self._known[pair] = _Known(new, (_version(a), _version(b)), held)
 
     def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:
         return (x, y) if self._order.index(x.agent) < self._order.index(y.agent) else (y, x)
+
+    def _in_use(self, pair: Pair, entry: _Known) -> bool:
+        """Whether robots steer by the alignment of a pair: one that was withdrawn may change."""
+        alignments = self.result.alignments if self.result else ()
+        stands = any(x.accepted and x.agents == pair for x in alignments)
+        return stands and entry.alignment.accepted
 
     def _current(self, pair: Pair, entry: _Known) -> bool:
         return entry.versions == (_version(self.maps[pair[0]]), _version(self.maps[pair[1]]))
@@ -271,12 +283,15 @@ class MergerSession:
 
     def _prepare(self, m: TopometricMap) -> Prepared:
         """Return what aligning makes of a map, once for each version of it."""
-        prepared = self._prepared.get(m.agent)
-        if prepared is None or prepared.map is not m:
-            prepared = self._prepared[m.agent] = Prepared(
-                m, self.config.search.scoring, self.config.matching
-            )
-        return prepared
+        scoring, matching = self.config.search.scoring, self.config.matching
+        held = self._prepared.get(m.agent)
+        if (
+            held is None
+            or held.map is not m
+            or (held.scoring, held.matching) != (scoring, matching)
+        ):
+            held = self._prepared[m.agent] = Prepared(m, scoring, matching)
+        return held
 
     def _fixed_for(self, pair: Pair) -> Alignment | None:
         return self._fixed.get(pair) or self._fixed.get((pair[1], pair[0]))
