@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from topometric_ros.fusion.poses import Transform, apply, inverse
 from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.voxels.labels import joint_counts
 
 
 def shared_voxels(
@@ -62,13 +63,8 @@ def same_rooms(
     """
     if not (a.rooms and b.rooms):
         return []
-    row_of_a = {room.id: row for row, room in enumerate(a.rooms)}
-    row_of_b = {room.id: row for row, room in enumerate(b.rooms)}
-    shared = np.zeros((len(a.rooms), len(b.rooms)))
-    labels = np.stack([a.room[rows_a], b.room[rows_b]], axis=1)
-    labels = labels[(labels >= 0).all(axis=1)]
-    for (room_a, room_b), count in zip(*np.unique(labels, axis=0, return_counts=True), strict=True):
-        shared[row_of_a[int(room_a)], row_of_b[int(room_b)]] = count
+    ids_a, ids_b = (np.array([room.id for room in m.rooms]) for m in (a, b))
+    shared = joint_counts(a.room[rows_a], b.room[rows_b], ids_a, ids_b)[:-1, :-1]
     seen_a, seen_b = shared.sum(axis=1), shared.sum(axis=0)
     pairs = zip(*linear_sum_assignment(-shared), strict=True)
     return [

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
+from topometric_ros.voxels.labels import joint_counts
 from topometric_ros.voxels.morton import morton_encode
 
 SAME_ROOM = 0.2
@@ -79,9 +80,7 @@ def _jaccard(
     _, in_old, in_new = np.intersect1d(
         morton_encode(previous.voxels), morton_encode(new.voxels), return_indices=True
     )
-    before, after = previous.room[in_old], new.room[in_new]
-    old_masks = (before[None] == old_ids[:, None]).astype(np.float64)
-    new_masks = (after[None] == new_ids[:, None]).astype(np.float64)
-    both = old_masks @ new_masks.T
-    either = old_masks.sum(axis=1)[:, None] + new_masks.sum(axis=1)[None] - both
-    return both / np.maximum(either, 1.0)
+    counts = joint_counts(previous.room[in_old], new.room[in_new], old_ids, new_ids)
+    both = counts[:-1, :-1]
+    either = counts[:-1].sum(axis=1)[:, None] + counts[:, :-1].sum(axis=0)[None] - both
+    return both / np.maximum(either, 1)
