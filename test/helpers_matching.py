@@ -129,12 +129,15 @@ def _middle(number: int) -> tuple[float, float, float]:
 
 
 def _room(number: int, mask: NDArray[np.bool_], grid, doors) -> Room:  # type: ignore[no-untyped-def]
-    centres = grid.centres()[mask]
+    centres, half = grid.centres()[mask], grid.voxel_size / 2
     return Room(
         id=number,
         storey=0,
         centroid=tuple(centres.mean(axis=0).tolist()),
-        bounds=(tuple(centres.min(axis=0).tolist()), tuple(centres.max(axis=0).tolist())),
+        bounds=(
+            tuple((centres.min(axis=0) - half).tolist()),
+            tuple((centres.max(axis=0) + half).tolist()),
+        ),
         voxels=int(mask.sum()),
         area=PLAN[number].size[0] * PLAN[number].size[1],
         isolated=not any(number in pair for pair in doors),

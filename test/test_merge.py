@@ -231,6 +231,8 @@ def test_fusing_one_map_changes_nothing_but_its_name() -> None:
     for name in ("voxels", "offsets", "room", "navigable", "viewpoints"):
         np.testing.assert_array_equal(getattr(fused, name), getattr(a, name))
     assert [room.id for room in fused.rooms] == [room.id for room in a.rooms]
+    for own, before in zip(fused.rooms, a.rooms, strict=True):
+        np.testing.assert_allclose(own.bounds, before.bounds, atol=1e-9)
     assert {p.rooms for p in fused.passages} == {p.rooms for p in a.passages}
     np.testing.assert_array_equal(fused.storeys[0].layers.free, a.storeys[0].layers.free)
 

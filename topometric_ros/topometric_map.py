@@ -65,8 +65,9 @@ class Storey:
 class Room:
     """A cluster of similar visibilities (§4.2.8); a node of the topological graph.
 
-    `id` lasts across versions of a map. `voxels` counts the voxels with this label, `area` is the
-    horizontal area they cover (m²), `isolated` says that no passage leads to it.
+    `id` lasts across versions of a map. `bounds` are those of the whole cells, `voxels` counts the
+    voxels with this label, `area` is the horizontal area they cover (m²), `isolated` says that no
+    passage leads to it.
     """
 
     id: int

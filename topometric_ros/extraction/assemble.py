@@ -32,26 +32,31 @@ def assemble_rooms(
     reached = {room_id for passage in passages for room_id in passage.rooms}
     order = np.argsort(room, kind="stable")
     ids, starts = np.unique(room[order], return_index=True)
-    half = grid.voxel_size / 2
     rooms = []
     for room_id, rows in zip(ids.tolist(), np.split(order, starts[1:]), strict=True):
-        if room_id == NO_ROOM:
-            continue
-        coords = grid.coords[rows]
-        centres = grid.origin + coords * grid.voxel_size
-        columns = len(np.unique(coords[:, :2], axis=0))
-        rooms.append(
-            Room(
-                id=room_id,
-                storey=int(np.argmax(np.bincount(storey[rows]))),
-                centroid=_triple(centres.mean(0)),
-                bounds=(_triple(centres.min(0) - half), _triple(centres.max(0) + half)),
-                voxels=len(rows),
-                area=columns * grid.voxel_size**2,
-                isolated=room_id not in reached,
-            )
-        )
+        if room_id != NO_ROOM:
+            of_most = int(np.argmax(np.bincount(storey[rows])))
+            rooms.append(measured_room(grid, rows, room_id, of_most, room_id not in reached))
     return tuple(rooms)
+
+
+def measured_room(
+    grid: VoxelGrid, rows: NDArray[np.int64], room_id: int, storey: int, isolated: bool
+) -> Room:
+    """Return the room of the voxels `rows` (n,), n > 0, of a grid; `bounds` hold whole cells."""
+    coords = grid.coords[rows]
+    centres = grid.origin + coords * grid.voxel_size
+    half = grid.voxel_size / 2
+    columns = len(np.unique(coords[:, :2], axis=0))
+    return Room(
+        id=room_id,
+        storey=storey,
+        centroid=_triple(centres.mean(0)),
+        bounds=(_triple(centres.min(0) - half), _triple(centres.max(0) + half)),
+        voxels=len(rows),
+        area=columns * grid.voxel_size**2,
+        isolated=isolated,
+    )
 
 
 def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -13,6 +13,7 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.extraction.assemble import measured_room
 from topometric_ros.fusion.poses import Transform, apply
 from topometric_ros.topometric_map import Passage, Room, TopometricMap
 from topometric_ros.voxels.grid import VoxelGrid
@@ -158,20 +159,8 @@ def fused_rooms(
     rooms = []
     for number in np.unique(room[room >= 0]).tolist():
         start, end = np.searchsorted(labels, [number, number + 1])
-        own = grid.coords[order[start:end]]
-        centres = grid.origin + own * grid.voxel_size
-        columns = len(np.unique(own[:, :2], axis=0))
-        rooms.append(
-            Room(
-                id=number,
-                storey=storey_of[number],
-                centroid=_triple(centres.mean(axis=0)),
-                bounds=(_triple(centres.min(axis=0)), _triple(centres.max(axis=0))),
-                voxels=len(own),
-                area=columns * grid.voxel_size**2,
-                isolated=number not in reached,
-            )
-        )
+        rows = order[start:end]
+        rooms.append(measured_room(grid, rows, number, storey_of[number], number not in reached))
     return tuple(rooms)
 
 
