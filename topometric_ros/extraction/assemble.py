@@ -47,7 +47,8 @@ def measured_room(
     coords = grid.coords[rows]
     centres = grid.origin + coords * grid.voxel_size
     half = grid.voxel_size / 2
-    columns = len(np.unique(coords[:, :2], axis=0))
+    x, y = coords[:, :2].astype(np.int64).T
+    columns = len(np.unique((x << 32) + y))
     return Room(
         id=room_id,
         storey=storey,

@@ -108,10 +108,12 @@ def _majority(
 ) -> NDArray[np.int32]:
     """Return the most frequent room of each column, any room before none: (nx, ny) int32."""
     flat = columns[:, 0].astype(np.int64) * shape[1] + columns[:, 1]
-    pairs, counts = np.unique(np.stack([flat, room], axis=1), axis=0, return_counts=True)
-    order = np.lexsort((-pairs[:, 1], counts, pairs[:, 1] != NO_ROOM))
+    kinds = int(room.max()) + 2
+    pairs, counts = np.unique(flat * kinds + room + 1, return_counts=True)
+    column, winner = pairs // kinds, pairs % kinds - 1
+    order = np.lexsort((-winner, counts, winner != NO_ROOM))
     raster = np.full(shape[0] * shape[1], UNSEEN, dtype=np.int32)
-    raster[pairs[order, 0]] = pairs[order, 1]
+    raster[column[order]] = winner[order]
     return raster.reshape(shape[0], shape[1])
 
 
@@ -128,8 +130,11 @@ def _label_position(
     mask: NDArray[np.bool_], origin: NDArray[np.float64], cell: float
 ) -> tuple[float, float]:
     """Return where a room is widest, nearest to its middle where that is so in many places."""
-    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    wide = np.argwhere(depth >= 0.9 * depth.max())
-    middle = np.argwhere(mask).mean(axis=0)
+    # A room covers a small part of a plan, and what lies outside its bounds is all the same.
+    (part,) = ndimage.find_objects(mask.astype(np.int8))
+    low = np.array([edge.start for edge in part])
+    depth = ndimage.distance_transform_edt(np.pad(mask[part], 1))[1:-1, 1:-1]
+    wide = np.argwhere(depth >= 0.9 * depth.max()) + low
+    middle = np.argwhere(mask[part]).mean(axis=0) + low
     i, j = wide[int(np.argmin(((wide - middle) ** 2).sum(axis=1)))]
     return float(origin[0] + i * cell), float(origin[1] + j * cell)

@@ -8,6 +8,10 @@ from scipy import ndimage
 
 _FINE_CELLS = 2_500_000
 """A refined raster has at most about so many cells."""
+_LABEL_BLUR = 1.2
+"""Cells by which a label is blurred before the densest wins."""
+_BLUR_REACH = 6
+"""Cells: four deviations of that blur, and one for the interpolation."""
 
 
 def refinement(shape: tuple[int, ...]) -> int:
@@ -33,10 +37,23 @@ def smooth_labels(labels: NDArray[np.int32], factor: int) -> NDArray[np.int32]:
     best = np.zeros(shape, dtype=np.float32)
     result = np.full(shape, labels.min(initial=0), dtype=np.int32)
     for label in np.unique(labels):
-        density = _refined((labels == label).astype(np.float32), factor, 1.2)
-        result[density > best] = label
-        np.maximum(best, density, out=best)
+        mask = labels == label
+        # Beyond the blur's reach a label has no density.
+        near = _bounds(mask, margin=_BLUR_REACH)
+        fine = tuple(slice(edge.start * factor, edge.stop * factor) for edge in near)
+        density = _refined(mask[near].astype(np.float32), factor, _LABEL_BLUR)
+        result[fine][density > best[fine]] = label
+        best[fine] = np.maximum(best[fine], density)
     return result
+
+
+def _bounds(mask: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
+    """Return the part of a raster that holds all that is set, and `margin` cells round it."""
+    (part,) = ndimage.find_objects(mask.astype(np.int8))
+    return tuple(
+        slice(max(0, edge.start - margin), min(size, edge.stop + margin))
+        for edge, size in zip(part, mask.shape, strict=True)
+    )
 
 
 def _refined(values: NDArray[np.float32], factor: int, blur: float) -> NDArray[np.float32]:
