@@ -8,6 +8,7 @@ Frame: metres, z up, floor at z = 0.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,13 +81,8 @@ class Building:
 
     def mesh(self) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
         """Return all solids as triangles: vertices (V, 3) float32, m, and (F, 3) uint32."""
-        boxes = self.structure + self.furniture
-        corners = np.array([(box.lower, box.upper) for box in boxes], dtype=np.float32)
-        pick = np.array([(k & 1, k >> 1 & 1, k >> 2 & 1) for k in range(8)])
-        vertices = corners[:, pick, np.arange(3)]
-        first = 8 * np.arange(len(boxes), dtype=np.uint32)
-        triangles = first[:, None, None] + _BOX_TRIANGLES
-        return vertices.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.uint32)
+        vertices, triangles = box_mesh(self.structure + self.furniture)
+        return vertices.astype(np.float32), triangles.astype(np.uint32)
 
     def room_at(self, x: float, y: float) -> int:
         """Return the id of the room that a place (m) lies in, -1 outside."""
@@ -103,9 +99,18 @@ _BOX_TRIANGLES = np.array(
         *((0, 1, 4), (1, 5, 4), (2, 6, 3), (3, 6, 7)),
         *((0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)),
     ],
-    dtype=np.uint32,
+    dtype=np.int64,
 )
 """The twelve triangles of a box whose corner k has its x, y and z in bits 0, 1 and 2 of k."""
+
+
+def box_mesh(boxes: Sequence[Box]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return boxes as triangles: vertices (8 N, 3), m, and faces (12 N, 3), box by box."""
+    corners = np.array([(box.lower, box.upper) for box in boxes]).reshape(-1, 2, 3)
+    pick = np.array([(k & 1, k >> 1 & 1, k >> 2 & 1) for k in range(8)])
+    vertices = corners[:, pick, np.arange(3)]
+    triangles = 8 * np.arange(len(boxes))[:, None, None] + _BOX_TRIANGLES
+    return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
 def make_building(
@@ -114,15 +119,20 @@ def make_building(
     openings: tuple[Opening, ...],
     furniture: tuple[Box, ...],
     config: BuildingConfig,
+    *,
+    without_floor: Collection[int] = (),
+    without_ceiling: Collection[int] = (),
 ) -> Building:
     """Put walls round the areas, holes into the walls and slabs below and above.
+
+    `without_floor` and `without_ceiling` are rooms that stairs lead up into and out of.
 
     Raises
     ------
     BuildingError
         An opening does not lie on a wall.
     """
-    structure = [*_slabs(areas, config)]
+    structure = _slabs(areas, config, without_floor, without_ceiling)
     placed: set[Opening] = set()
     for (axis, line), runs in _wall_runs(areas).items():
         for run in runs:
@@ -151,13 +161,21 @@ def cabinet(x: float, y: float, length: float, width: float, height: float) -> t
     return (Box(lower, (x + length / 2, y + width / 2, height)),)
 
 
-def _slabs(areas: tuple[Area, ...], config: BuildingConfig) -> list[Box]:
+def _slabs(
+    areas: tuple[Area, ...],
+    config: BuildingConfig,
+    without_floor: Collection[int],
+    without_ceiling: Collection[int],
+) -> list[Box]:
     """Floor and ceiling of each area, reaching under the walls' outer faces."""
     half = config.wall / 2
     boxes = []
     for area in areas:
         x0, y0, x1, y1 = area.bounds
-        for low, high in ((-config.slab, 0.0), (config.ceiling, config.ceiling + config.slab)):
+        slabs = ((-config.slab, 0.0), (config.ceiling, config.ceiling + config.slab))
+        for (low, high), left_out in zip(slabs, (without_floor, without_ceiling), strict=True):
+            if area.room in left_out:
+                continue
             boxes.append(Box((x0 - half, y0 - half, low), (x1 + half, y1 + half, high)))
     return boxes
 
