@@ -42,7 +42,7 @@ def hex_colour(rgb: Sequence[int]) -> str:
 def map_figure(topometric_map: TopometricMap) -> bytes | None:
     """Draw each storey of a map with its rooms and topological graph; None where it is empty."""
     sheet = Sheet()
-    plans = _draw_map(sheet, topometric_map)
+    plans = draw_map(sheet, topometric_map)
     return sheet.png(width=6.0 + 2.0 * (len(plans) > 1)) if plans else None
 
 
@@ -54,7 +54,7 @@ def global_figure(
     `agents` names the bits of `global_map.agents`, `placed` those of them that are in the map.
     """
     sheet = Sheet()
-    plans = _draw_map(sheet, global_map.map)
+    plans = draw_map(sheet, global_map.map)
     shown = {k: name for k, name in enumerate(agents) if name in placed}
     for plan, pose in plans:
         for rank, k in enumerate(shown):
@@ -67,7 +67,7 @@ def global_figure(
     return sheet.png(width=10.0) if plans else None
 
 
-def _draw_map(sheet: Sheet, topometric_map: TopometricMap) -> list[tuple[Plan, Pose]]:
+def draw_map(sheet: Sheet, topometric_map: TopometricMap) -> list[tuple[Plan, Pose]]:
     """Draw all storeys of a map side by side; returns where they lie."""
     plans = storey_plans(topometric_map)
     upright = Pose(angle=-main_direction(topometric_map))
