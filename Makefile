@@ -5,6 +5,7 @@ VENV ?= .venv
 BAG ?= bags/demo
 OUT ?= out/$(notdir $(BAG:%/=%))
 CLOUD ?=
+PAIRS ?= ../shared/data/pairs
 
 # The environment is complete in itself: a sourced ROS or another environment must not leak in.
 unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -15,7 +16,7 @@ stamps := $(VENV)/stamps
 interface_files = $(wildcard $(1)/*.* $(1)/msg/*.msg $(1)/srv/*.srv) \
   wheels/build-tools.txt scripts/install_interfaces.sh scripts/wheel_targets.cmake
 
-.PHONY: help setup demo test check run-bag bench clean distclean
+.PHONY: help setup demo test check run-bag bench benchmark benchmark-full clean distclean
 .DELETE_ON_ERROR:
 
 help:
@@ -24,6 +25,8 @@ help:
 	@echo 'make check      set up, check format, lint, types, the colcon build and the README'
 	@echo 'make run-bag    replay your own bag: make run-bag BAG=path/to/bag [OUT=out/name]'
 	@echo 'make bench      CPU seconds by stage: make bench [CLOUD=path/to/cloud.ply]'
+	@echo 'make benchmark  this package and other methods on some pairs with known truth: [PAIRS=folder]'
+	@echo '                make benchmark-full: on all of them; both go on where they stopped'
 	@echo 'make setup      only set up: Debian packages, $(VENV), wheels, messages'
 	@echo 'make clean      remove build products and outputs; make distclean also $(VENV)'
 	@echo 'PYTHON=/path/to/python3 picks the interpreter (3.11 or newer)'
@@ -65,6 +68,14 @@ run-bag: setup
 
 bench: setup
 	$(VENV)/bin/python scripts/benchmark_extraction.py $(CLOUD)
+
+benchmark: setup
+	$(VENV)/bin/pip install --quiet "kiss-matcher>=1.0; python_version < '3.13'"
+	$(VENV)/bin/topometric benchmark $(PAIRS) -o out/benchmark-short --limit 6 --timeout 120
+
+benchmark-full: setup
+	$(VENV)/bin/pip install --quiet "kiss-matcher>=1.0; python_version < '3.13'"
+	$(VENV)/bin/topometric benchmark $(PAIRS) -o out/benchmark
 
 clean:
 	rm -rf build install log out dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -59,6 +59,8 @@ setup(
         "matplotlib>=3.8",
     ],
     extras_require={
+        # Its wheels end at Python 3.12; without it the benchmark leaves that method out.
+        "benchmark": ["kiss-matcher>=1.0; python_version < '3.13'"],
         "las": ["laspy[lazrs]>=2.5"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": ["pytest>=8", "hypothesis>=6.100", "laspy[lazrs]>=2.5"],

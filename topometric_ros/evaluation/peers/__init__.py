@@ -1,0 +1,1 @@
+"""Methods that a user would pick instead of this package, behind one interface."""
