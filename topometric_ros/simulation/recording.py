@@ -40,6 +40,41 @@ class AgentRecording:
     scans: list[NDArray[np.float32]]
 
 
+@dataclass(frozen=True)
+class MapRecording:
+    """One agent's growing map: `clouds` are (stamp in ns, (n, 3) float32, m, agent frame)."""
+
+    name: str
+    clouds: list[tuple[int, NDArray[np.float32]]]
+
+
+def write_maps(directory: Path, agents: Sequence[MapRecording]) -> None:
+    """Write /ID/cloud_map of every agent, transient local in frame ID/map, into a new bag.
+
+    Raises
+    ------
+    RecordingError
+        `directory` exists already.
+    """
+    from rosbags.interfaces import QosDurability
+
+    messages = _Messages()
+    kind = "sensor_msgs/msg/PointCloud2"
+    writer = _new_writer(directory)
+    with writer:
+        events = []
+        for agent in agents:
+            connection = writer.add_connection(
+                f"/{agent.name}/cloud_map",
+                kind,
+                typestore=messages.store,
+                offered_qos_profiles=[_qos(QosDurability.TRANSIENT_LOCAL)],
+            )
+            events += [(stamp, connection, agent.name, points) for stamp, points in agent.clouds]
+        for stamp, connection, name, points in sorted(events, key=operator.itemgetter(0)):
+            writer.write(connection, stamp, messages.cloud(points, f"{name}/map", stamp))
+
+
 def write_scans(directory: Path, agents: Sequence[AgentRecording]) -> None:
     """Write /ID/scan_cloud of every agent with /tf and /tf_static into a new bag (MCAP, zstd).
 
@@ -51,13 +86,9 @@ def write_scans(directory: Path, agents: Sequence[AgentRecording]) -> None:
         `directory` exists already.
     """
     from rosbags.interfaces import Qos, QosDurability
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-    if directory.exists():
-        raise RecordingError(f"{directory} exists already; remove it or name another directory")
     messages = _Messages()
-    writer = Writer(directory, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    writer = _new_writer(directory)
     with writer:
 
         def connect(topic: str, kind: str, qos: Qos) -> Any:
@@ -79,6 +110,17 @@ def write_scans(directory: Path, agents: Sequence[AgentRecording]) -> None:
             writer.write(moving, stamp, messages.moving_transforms(agent, i, stamp))
             cloud = messages.cloud(agent.scans[i], f"{agent.name}/lidar", stamp)
             writer.write(clouds[agent.name], stamp + 1_000_000, cloud)
+
+
+def _new_writer(directory: Path) -> Any:
+    """Return the writer of a new bag: MCAP, zstd."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    if directory.exists():
+        raise RecordingError(f"{directory} exists already; remove it or name another directory")
+    writer = Writer(directory, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    return writer
 
 
 def _in_time_order(
