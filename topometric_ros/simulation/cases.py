@@ -113,6 +113,8 @@ def simulate(
     ready = building if isinstance(building, Prepared) else prepare(building, config)
     building = ready.building
     planning, *streams = np.random.SeedSequence(seed).spawn(1 + config.agents)
+    if walks and len(walks) != config.agents:
+        raise CaseError(f"expected a walk for each of {config.agents} agents, got {len(walks)}")
     walks = list(walks) or _own_walks(ready)
     if len(walks) < config.agents:
         rng = np.random.default_rng(planning)

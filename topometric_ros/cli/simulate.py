@@ -1,0 +1,108 @@
+"""`topometric simulate`: partial maps of a building with full truth, as folders of pairs."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+from typing import Any
+
+from topometric_ros.cli.common import (
+    add_verbose,
+    finish_progress,
+    output_folder,
+    progress_of,
+    report,
+)
+
+BAGS = ("scans", "maps")
+
+
+def add_parser(commands: Any) -> None:
+    """Add this command to the parser."""
+    command = commands.add_parser(
+        "simulate",
+        help="make agents' maps of a building, with the truth",
+        description="Write OUT/NAME_SEED/ with a.ply, b.ply, truth.json, truth.npz and, where "
+        "asked for, bag/, for each case. The same arguments give the same bytes.",
+    )
+    command.add_argument(
+        "building",
+        metavar="BUILDING",
+        help="office:seed=3,rooms=20 and the like, or a file or folder: see docs/simulation.md",
+    )
+    command.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="OUT", help="folder to write to"
+    )
+    command.add_argument("--agents", type=int, metavar="N", help="number of agents (default 2)")
+    command.add_argument(
+        "--overlap",
+        type=float,
+        metavar="SHARE",
+        help="wanted part of the smaller map's voxels that agents share, 0 to 1 (default 0.5)",
+    )
+    command.add_argument("--seed", type=int, default=0, help="of the first case (default 0)")
+    command.add_argument(
+        "--count", type=int, default=1, metavar="N", help="cases, with seeds from SEED on"
+    )
+    command.add_argument("--config", type=Path, metavar="F", help="YAML file of parameters")
+    command.add_argument(
+        "--walk",
+        action="append",
+        default=[],
+        metavar="W",
+        help="an agent's walk by hand, once for each: room ids (0,4,7), or waypoints in metres "
+        "(1.5 2 0; 4 2 0)",
+    )
+    command.add_argument(
+        "--bag", choices=BAGS, default="", help="write a bag too: single scans, or growing maps"
+    )
+    command.add_argument("--json", action="store_true", help="print the result on stdout as JSON")
+    add_verbose(command)
+    command.set_defaults(command=simulate)
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Simulate and write all cases."""
+    from topometric_ros.simulation import cases
+    from topometric_ros.simulation.buildings import load_building
+    from topometric_ros.simulation.simulation_config import load_simulation_config, parse_walk
+
+    wanted = {"agents": options.agents, "overlap": options.overlap}
+    if options.walk and options.agents is None:
+        wanted["agents"] = len(options.walk)
+    config = load_simulation_config(options.config, wanted)
+    walks = [parse_walk(text) for text in options.walk]
+    progress = progress_of(options)
+    progress(f"reading {options.building}")
+    building = load_building(options.building)
+    ready = cases.prepare(building, config)
+    folder = output_folder(options)
+    rows = []
+    for seed in range(options.seed, options.seed + options.count):
+        progress(f"case {seed - options.seed + 1} of {options.count}")
+        case = cases.simulate(ready, config, seed, walks)
+        name = f"{re.sub(r'[^A-Za-z0-9.-]+', '_', building.name)}_{seed}"
+        cases.write_case(case, folder / name, options.bag)
+        rows.append(_row(name, case))
+    finish_progress(options)
+    report(options, {"cases": rows}, [_line(row) for row in rows] + [f"written to {folder}"])
+    return 0
+
+
+def _row(name: str, case: Any) -> dict[str, Any]:
+    return {
+        "name": name,
+        "overlap": [round(float(value), 4) for value in case.overlap],
+        "points": {agent.id: len(agent.points) for agent in case.agents},
+        "rooms": {agent.id: list(agent.rooms_walked) for agent in case.agents},
+    }
+
+
+def _line(row: dict[str, Any]) -> str:
+    overlap = ", ".join(f"{100 * value:.0f} %" for value in row["overlap"]) or "none"
+    agents = ", ".join(
+        f"{key}: {count:,} points in {len(row['rooms'][key])} rooms"
+        for key, count in row["points"].items()
+    )
+    return f"{row['name']}: overlap {overlap}; {agents}"
