@@ -39,6 +39,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "LICENSE"]),
         (f"share/{NAME}/config", files("config/*")),
+        (f"share/{NAME}/config/suites", files("config/suites/*")),
         (f"share/{NAME}/launch", files("launch/*.py")),
         (f"share/{NAME}/rviz", files("rviz/*.rviz")),
         (f"lib/{NAME}", files("executables/*")),

@@ -166,8 +166,9 @@ def test_the_installed_package_ships_the_interfaces_and_what_ros_looks_for(tmp_p
     }
     share = prefix / "share"
     assert (share / "ament_index/resource_index/packages/topometric_ros").is_file()
-    for name in ("config", "launch", "rviz"):
-        shipped_names = {p.name for p in (share / "topometric_ros" / name).iterdir()}
+    for name in ("config", "config/suites", "launch", "rviz"):
+        folder = share / "topometric_ros" / name
+        shipped_names = {p.name for p in folder.iterdir() if p.is_file()}
         assert shipped_names == {p.name for p in (ROOT / name).iterdir() if p.is_file()}
     for name in ("extractor", "merger", "replay"):
         assert (prefix / "lib/topometric_ros" / name).stat().st_mode & 0o111
