@@ -182,11 +182,33 @@ def _check_map(m: TopometricMap) -> None:
             raise MapError(
                 f"{name}: expected {np.dtype(dtype)} {shape}, got {array.dtype} {array.shape}"
             )
-    if not (np.isfinite(m.viewpoints).all() and np.isfinite(m.T_level_input).all()):
-        raise MapError("viewpoints and T_level_input must be finite")
+    if not np.isfinite(m.viewpoints).all():
+        raise MapError("viewpoints must be finite")
+    # Whoever uses a map inverts this, so one that is no rigid motion would fail far from here.
+    R = m.T_level_input[:3, :3]
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    rigid = np.isfinite(m.T_level_input).all() and off < 1e-6 and np.linalg.det(R) > 0
+    if not (rigid and np.array_equal(m.T_level_input[3], (0, 0, 0, 1))):
+        raise MapError(f"T_level_input: expected a rigid motion, got {m.T_level_input.tolist()}")
     if n and (m.offsets.min() < -OFFSET_STEPS // 2 or m.offsets.max() >= OFFSET_STEPS // 2):
         raise MapError(f"offsets: expected -8..7, got {m.offsets.min()}..{m.offsets.max()}")
+    _check_storeys(m.storeys)
     _check_graph(m)
+
+
+def _check_storeys(storeys: tuple[Storey, ...]) -> None:
+    """Raise MapError where storeys share an id or lie nowhere."""
+    ids = [storey.id for storey in storeys]
+    if len(set(ids)) != len(ids):
+        raise MapError(f"storey ids must be unique, got {ids}")
+    for storey in storeys:
+        layers = storey.layers
+        ceiling = 0.0 if storey.ceiling_z is None else storey.ceiling_z
+        numbers = (storey.floor_z, ceiling, layers.cell, *layers.origin)
+        if not np.isfinite(numbers).all() or not layers.cell > 0:
+            raise MapError(
+                f"storey {storey.id}: expected finite heights and a raster, got {numbers}"
+            )
 
 
 def _check_graph(m: TopometricMap) -> None:
@@ -201,8 +223,8 @@ def _check_graph(m: TopometricMap) -> None:
     for room in m.rooms:
         if room.storey not in storeys:
             raise MapError(f"room {room.id} lies on storey {room.storey}; known: {sorted(storeys)}")
-        if not (np.isfinite(room.centroid).all() and np.isfinite(room.bounds).all()):
-            raise MapError(f"room {room.id}: centroid and bounds must be finite")
+        if not np.isfinite((*room.centroid, *np.ravel(room.bounds), room.area)).all():
+            raise MapError(f"room {room.id}: centroid, bounds and area must be finite")
     for passage in m.passages:
         if not set(passage.rooms) <= set(ids) or passage.rooms[0] == passage.rooms[1]:
             raise MapError(f"passage between rooms {passage.rooms}; known: {ids}")

@@ -265,9 +265,6 @@ def _room(message: Any) -> Room:
 def _storey(message: Any) -> Storey:
     layers = message.layers
     shape = (int(layers.cells_x), int(layers.cells_y))
-    numbers = (message.floor_z, message.ceiling_z, layers.cell, layers.origin_x, layers.origin_y)
-    if not np.isfinite(numbers).all() or not layers.cell > 0:
-        raise CodecError(f"storey {message.id}: expected finite heights and raster, got {numbers}")
     masks = {name: unpack_bits(bytes(getattr(layers, name)), shape, name) for name in _MASKS}
     return Storey(
         id=int(message.id),
