@@ -47,11 +47,12 @@ def fails(arguments: Sequence[object], capsys: pytest.CaptureFixture[str]) -> st
     return captured.err.strip()
 
 
-def test_help_does_not_wait_for_the_stages_to_be_imported() -> None:
+@pytest.mark.parametrize("command", ["extract", "merge", "replay", "run"])
+def test_a_command_is_read_before_the_stages_are_imported(command: str) -> None:
     code = (
-        "import sys\n"
-        "from topometric_ros.cli.main import parser\n"
-        "parser()\n"
+        "import argparse, sys\n"
+        f"from topometric_ros.cli import {command}\n"
+        f"{command}.add_parser(argparse.ArgumentParser().add_subparsers())\n"
         "heavy = {'numpy', 'numba', 'scipy', 'networkx', 'rosbags', 'matplotlib', 'rclpy'}\n"
         "print(sorted(heavy & {*sys.modules}))\n"
     )
