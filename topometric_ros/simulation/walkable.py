@@ -203,6 +203,9 @@ def _places(
     places, room_ids = table[:, :3].copy(), table[:, 3].astype(np.int32)
     down = np.broadcast_to([0.0, 0.0, -1.0], places.shape)
     floor = world.cast(places + [0.0, 0.0, 1.0], down, 1.0 + _STEP_HEIGHT)[:, 2]
+    if building.is_cloud:
+        # Scanned floors have gaps, and rooms end where their labels do: no return is no hole.
+        floor = np.where(np.isnan(floor), places[:, 2], floor)
     standing = np.flatnonzero(np.abs(floor - places[:, 2]) <= _STEP_HEIGHT)
     places, room_ids, keys = places[standing], room_ids[standing], keys[standing]
     places[:, 2] = floor[standing]
