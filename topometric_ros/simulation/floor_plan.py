@@ -3,7 +3,8 @@
 White (250 and more of 255) is free, everything else is wall. `NAME_gt_segmentation.png` beside
 `NAME.png` has the rooms as white areas between dark lines; `NAME_furnitures.png` may be loaded in
 place of `NAME.png` and adds furniture. This is how the plans of Bormann et al. 2016 are kept.
-Frame: x along the picture's rows, y up its columns from the lower left corner.
+Frame: x along the picture's rows, y down its columns, z up: the mirror image of what is drawn, as
+in the ready-made pairs.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ CEILING = 2.7
 FURNITURE = 0.9
 """Height that furniture is extruded to, m."""
 _FREE = 250 / 255
-_SMALLEST_ROOM = 0.5
+_SMALLEST_ROOM = 1.0
 """Smaller white areas of a segmented picture are left-overs of drawing, m²."""
 _NARROWEST_WAY, _WIDEST_DOOR = 0.4, 1.6
 _SEAM = 3
@@ -72,7 +73,7 @@ def load_floor_plan(path: Path) -> LabelledBuilding:
 
 
 def _free_cells(path: Path) -> NDArray[np.bool_]:
-    """Return where a picture is white: (X, Y) bool, y up."""
+    """Return where a picture is white: (X, Y) bool."""
     import matplotlib.image
 
     try:
@@ -80,13 +81,13 @@ def _free_cells(path: Path) -> NDArray[np.bool_]:
     except (OSError, SyntaxError, ValueError) as error:
         raise BuildingError(f"{path}: cannot be read: {error}") from error
     grey = picture if picture.ndim == 2 else picture[..., : min(3, picture.shape[2])].min(axis=2)
-    white: NDArray[np.bool_] = np.ascontiguousarray((grey >= _FREE)[::-1].T)
+    white: NDArray[np.bool_] = np.ascontiguousarray((grey >= _FREE).T)
     return white
 
 
 def _room_cells(segmented: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the room of each cell, -1 none; rooms in the order of their first cell."""
-    areas, _ = ndimage.label(segmented)
+    """Return the room of each cell, -1 none; rooms in the order of the picture's rows."""
+    areas = ndimage.label(segmented.T)[0].T
     sizes = np.bincount(areas.ravel())
     large = sizes >= _SMALLEST_ROOM / PIXEL**2
     large[0] = False

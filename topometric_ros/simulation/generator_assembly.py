@@ -65,14 +65,7 @@ class Assembly:
         for piece in block.pieces:
             self._pieces += 1
             self._add_boxes(list(piece), floor, frame, self._pieces)
-        for room, kind in enumerate(block.kinds):
-            rectangles = [area.bounds for area in block.areas if area.room == room]
-            polygon = room_polygon(rectangles, config.wall)
-            self._add_room(kind, storey, polygon if frame is None else frame.place(polygon))
-        for a, b, kind, position, width in block.links:
-            place = np.array([*position, floor])
-            place = place if frame is None else frame.place(place)
-            self._links.append(TrueLink((first + a, first + b), kind, place, width))
+        self._add_rooms(block, storey, frame)
         if stairs is not None:
             if below:
                 turn = np.array([*half_landing(stairs), floor - self._height / 2])
@@ -110,6 +103,18 @@ class Assembly:
                 np.int32
             ),
         )
+
+    def _add_rooms(self, block: Block, storey: int, frame: WingFrame | None) -> None:
+        """Add the rooms of a block and the links between them."""
+        floor, first = storey * self._height, len(self._rooms)
+        for room, kind in enumerate(block.kinds):
+            rectangles = [area.bounds for area in block.areas if area.room == room]
+            polygon = room_polygon(rectangles, self._config.wall)
+            self._add_room(kind, storey, polygon if frame is None else frame.place(polygon))
+        for a, b, kind, position, width in block.links:
+            place = np.array([*position, floor])
+            place = place if frame is None else frame.place(place)
+            self._links.append(TrueLink((first + a, first + b), kind, place, width))
 
     def _add_room(self, kind: str, storey: int, polygon: NDArray[np.float64]) -> int:
         """Add a room, numbered among those of its kind on its storey."""

@@ -96,7 +96,7 @@ def design_room(
         cut = (0.0, size, 1.9) if rng.random() < 0.5 else (round(width - size, 3), width, 1.9)
     low, high = (0.75, width - 0.75) if cut is None else _rest(cut, width)
     door = round(float(rng.uniform(low, high)), 2)
-    drawn = ()
+    drawn: tuple[tuple[float, float], ...] = ()
     if facade and windows and kind != "store":
         size = round(float(rng.uniform(0.8, max(0.9, width - 1.4))), 1)
         drawn = ((round(float(width / 2 + rng.uniform(-0.2, 0.2)), 2), size),)
