@@ -21,9 +21,11 @@ from topometric_ros.configuration import ParameterInfo, parameters  # noqa: E402
 from topometric_ros.extraction.config import extraction_preset  # noqa: E402
 from topometric_ros.fusion.config import merge_preset  # noqa: E402
 from topometric_ros.nodes.config import PRESETS, ExtractorNodeConfig, MergerNodeConfig  # noqa: E402
+from topometric_ros.simulation.cases import SimulationConfig  # noqa: E402
 
 GENERATED = "Written by scripts/write_config.py from the configuration classes: change those."
 REFERENCE = ROOT / "docs" / "ros-interface.md"
+SIMULATION = ROOT / "docs" / "simulation.md"
 
 
 def files() -> dict[Path, str]:
@@ -34,6 +36,7 @@ def files() -> dict[Path, str]:
         ROOT / "config" / "extractor.yaml": node_file("extractor", extractor),
         ROOT / "config" / "merger.yaml": node_file("merger", merger),
         REFERENCE: reference(REFERENCE.read_text(), extractor=extractor, merger=merger),
+        SIMULATION: reference(SIMULATION.read_text(), simulation=(SimulationConfig(),)),
     }
     for preset in PRESETS:
         contents[ROOT / "config" / f"{preset}.yaml"] = preset_file(preset)
@@ -63,7 +66,7 @@ def preset_file(preset: str) -> str:
 
 
 def reference(text: str, **nodes: Iterable[Any]) -> str:
-    """Return the page with the parameter table of each node between its two marks."""
+    """Return the page with the parameter table of each program between its two marks."""
     for node, configs in nodes.items():
         begin, end = f"<!-- parameters of {node} -->", f"<!-- end of parameters of {node} -->"
         before, rest = text.split(begin)
