@@ -149,12 +149,6 @@ class TopometricMap:
                 return room
         raise MapError(f"no room {room_id} in the map of {self.agent!r}")
 
-    def room_points(self, room_id: int) -> NDArray[np.float64]:
-        """Return the surface points of one room: (n, 3) float64, m, level frame."""
-        mask = self.room == room_id
-        within = (self.offsets[mask] + 0.5) / OFFSET_STEPS
-        return np.asarray(self.origin) + (self.voxels[mask] + within) * self.voxel_size
-
     def descriptor(self, name: str) -> Descriptors | None:
         """Return the descriptors of that name, or None."""
         return next((d for d in self.descriptors if d.name == name), None)

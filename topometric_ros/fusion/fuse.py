@@ -94,7 +94,9 @@ def fuse(
     ]
     new_id = room_ids(fragments, grid.coords, config.room_overlap)
     room = _labels(fragments, new_id, len(grid))
-    passages = fused_passages(fragments, new_id, set(room.tolist()), config.passage_distance)
+    passages = fused_passages(
+        fragments, new_id, set(np.unique(room).tolist()), config.passage_distance
+    )
     fused = TopometricMap(
         agent=GLOBAL,
         session=anchor.session,

@@ -15,11 +15,6 @@ from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels.palette import room_colours
 
 
-def write_map_summary(path: Path, topometric_map: TopometricMap) -> None:
-    """Write map.json (design, section 4)."""
-    write_json(path, map_summary(topometric_map))
-
-
 def map_summary(m: TopometricMap) -> dict[str, Any]:
     """Return the content of map.json; positions are in the level frame."""
     return {

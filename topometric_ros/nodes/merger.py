@@ -24,7 +24,7 @@ from topometric_ros.nodes.agent_names import parse_agents
 from topometric_ros.nodes.config import MergerNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
 from topometric_ros.nodes.markers import map_markers
-from topometric_ros.nodes.merger_report import AgentInput, MergerReport
+from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.merger_services import serve
 from topometric_ros.nodes.messages import message_classes
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
@@ -83,7 +83,7 @@ class Merger(TopometricNode):
         for agent, namespace in self.agents.items():
             topic = f"{namespace}/topometric_map"
             self.inboxes[agent] = Inbox(1)
-            self.report.inputs[agent] = AgentInput(self.resolve_topic_name(topic))
+            self.report.inputs[agent] = InputReport(self.resolve_topic_name(topic))
             receive = self.inboxes[agent].put
             self.create_subscription(MapMessage, topic, receive, qos.SNAPSHOT)
         self._maps = self.create_publisher(MapMessage, "global_map", qos.SNAPSHOT)

@@ -26,7 +26,7 @@ _ALIGNMENT_LEVELS = {
 
 
 @dataclass
-class AgentInput:
+class InputReport:
     """What came from one agent; `refusal` is why the last message was refused, until a good one."""
 
     topic: str
@@ -49,7 +49,7 @@ class AgentInput:
 class MergerReport:
     """The inputs by topic, the newest result and why the last merge failed, if it did."""
 
-    inputs: dict[str, AgentInput] = field(default_factory=dict)
+    inputs: dict[str, InputReport] = field(default_factory=dict)
     result: MergeResult | None = None
     failure: str = ""
 
@@ -77,7 +77,7 @@ class MergerReport:
         return Status(f"{node}: merge", Level.OK if complete else Level.WARN, text, values)
 
 
-def _agent(node: str, entry: AgentInput, placement: AgentPlacement | None, now: int) -> Status:
+def _agent(node: str, entry: InputReport, placement: AgentPlacement | None, now: int) -> Status:
     name = f"{node}: agent {entry.topic}"
     values: dict[str, object] = {"received": entry.received, "refused": entry.refused}
     m = entry.newest

@@ -10,7 +10,7 @@ from topometric_msgs.srv import LoadMap, MergeNow, RemoveAlignment, Reset, SaveM
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.map_files import load_map, save_map
-from topometric_ros.nodes.merger_report import AgentInput, MergerReport
+from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.services import computed, offer, written
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.transforms import TransformError
@@ -60,7 +60,7 @@ class _MergerServices:
                 inbox.take_all()
             self._node.session.reset()
             self._node.fresh = False
-            inputs = {agent: AgentInput(x.topic) for agent, x in self._node.report.inputs.items()}
+            inputs = {agent: InputReport(x.topic) for agent, x in self._node.report.inputs.items()}
             self._node.report = MergerReport(inputs)
             self._node.place()
         response.code, response.message = response.SUCCESS, "all maps and alignments forgotten"

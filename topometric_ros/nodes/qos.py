@@ -6,8 +6,6 @@ from collections.abc import Iterable
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-CLOUD_QOS_CHOICES = ("auto", "reliable", "best_effort")
-
 _CLOUD_DEPTH = 10
 """Clouds come in bursts; ten scans are what a usual scanner makes in a second."""
 
