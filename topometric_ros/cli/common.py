@@ -48,7 +48,8 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--map-frame",
         default="",
         metavar="FRAME",
-        help="frame in which a bag's scans are gathered; by default the root of their TF tree",
+        help="frame in which a bag's scans are gathered; by default the nearest one above them "
+        "that is named map, else the root of their TF tree",
     )
     command.add_argument("--seed", type=int, default=0, help="of the session ids (default 0)")
     command.add_argument("--json", action="store_true", help="print the result on stdout as JSON")
