@@ -58,6 +58,7 @@ setup(
         "zstandard>=0.22",
         "pyyaml>=6.0",
         "matplotlib>=3.8",
+        "plotly>=5.20",
     ],
     extras_require={
         # Its wheels end at Python 3.12; without it the benchmark leaves that method out.

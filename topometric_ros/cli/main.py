@@ -11,13 +11,13 @@ import os
 import sys
 from collections.abc import Sequence
 
-from topometric_ros.cli import benchmark, evaluate, extract, merge, replay, run, simulate
+from topometric_ros.cli import benchmark, evaluate, extract, merge, replay, run, simulate, view
 from topometric_ros.errors import TopometricError
 
 BAD_INPUT = 2
 INTERRUPTED = 130
 
-_COMMANDS = (extract, merge, replay, run, benchmark, evaluate, simulate)
+_COMMANDS = (extract, merge, replay, run, benchmark, evaluate, simulate, view)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

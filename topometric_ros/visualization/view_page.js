@@ -1,0 +1,139 @@
+"use strict";
+// State of the page lives in the address after '#': #room=3&storey=1&colour=agent
+(() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const at = id => document.getElementById(id);
+  const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
+  const xyz = new Float32Array(bytes(data.points.xyz));
+  const room = new Int32Array(bytes(data.points.room));
+  const storey = new Uint8Array(bytes(data.points.storey));
+  const observers = new Uint8Array(bytes(data.points.observers));
+  const upper = new Uint8Array(bytes(data.points.upper));
+  const rooms = new Map(data.rooms.map(r => [r.id, r]));
+  const plain = "#b8b8b8";
+  const state = {colour: "room", storey: 0, room: null};
+  const colours = {
+    room: i => (rooms.get(room[i]) || {colour: plain}).colour,
+    agent: i => data.classes[observers[i]].colour,
+    storey: i => data.storeys[storey[i]].colour,
+  };
+
+  // One trace of points for each storey and half, so that slider and check box only hide and show.
+  const parts = [];
+  data.storeys.forEach((_, s) => [0, 1].forEach(u => {
+    const rows = [];
+    for (let i = 0; i < storey.length; i++) if (storey[i] === s && upper[i] === u) rows.push(i);
+    if (rows.length) parts.push({kind: "points", storey: s, upper: u, rows});
+  }));
+  const pointTrace = part => ({
+    type: "scatter3d", mode: "markers", hoverinfo: "text", showlegend: false,
+    x: Float32Array.from(part.rows, i => xyz[3 * i]),
+    y: Float32Array.from(part.rows, i => xyz[3 * i + 1]),
+    z: Float32Array.from(part.rows, i => xyz[3 * i + 2]),
+    text: part.rows.map(i => (rooms.get(room[i]) || {name: "no room"}).name),
+    customdata: part.rows.map(i => room[i]),
+    marker: {size: 2, color: part.rows.map(colours[state.colour])},
+  });
+  data.storeys.forEach((_, s) => parts.push({kind: "edges", storey: s}, {kind: "nodes", storey: s}));
+  const edgeTrace = part => {
+    const line = {x: [], y: [], z: []};
+    for (const edge of data.edges.filter(e => e.storeys.includes(part.storey))) {
+      for (const p of edge.path) { line.x.push(p[0]); line.y.push(p[1]); line.z.push(p[2]); }
+      line.x.push(null); line.y.push(null); line.z.push(null);
+    }
+    return {type: "scatter3d", mode: "lines", hoverinfo: "skip", showlegend: false,
+      line: {color: "#1d2228", width: 4}, ...line};
+  };
+  const nodeTrace = part => {
+    const here = data.rooms.filter(r => r.storey === part.storey);
+    return {type: "scatter3d", mode: "markers+text", hoverinfo: "text", showlegend: false,
+      x: here.map(r => r.node[0]), y: here.map(r => r.node[1]), z: here.map(r => r.node[2]),
+      text: here.map(r => String(r.id)), hovertext: here.map(r => r.name),
+      customdata: here.map(r => r.id), textposition: "top center", textfont: {size: 13},
+      marker: {size: 8, color: here.map(r => r.colour), line: {color: "#1d2228", width: 2}}};
+  };
+  const makers = {points: pointTrace, edges: edgeTrace, nodes: nodeTrace};
+  const shown = part => (state.storey === 0 || part.storey === state.storey - 1) &&
+    (part.kind === "points" ? !part.upper || at("upper").checked : at("graph").checked);
+
+  const legend = () => {
+    const entries = {room: [], agent: data.classes, storey: data.storeys}[state.colour];
+    at("legend").replaceChildren(...entries.map(entry => {
+      const line = document.createElement("span"), swatch = document.createElement("span");
+      swatch.className = "swatch"; swatch.style.background = entry.colour;
+      line.append(swatch, entry.name, document.createElement("br"));
+      return line;
+    }));
+  };
+  const select = id => {
+    const found = rooms.get(id);
+    if (!found) return;
+    state.room = id;
+    const title = document.createElement("b"), list = document.createElement("dl");
+    title.textContent = found.name;
+    for (const [name, value] of found.attributes) {
+      const term = document.createElement("dt"), text = document.createElement("dd");
+      term.textContent = name; text.textContent = value; list.append(term, text);
+    }
+    at("room").replaceChildren(title, list);
+    for (const button of at("rooms").children)
+      button.setAttribute("aria-pressed", String(Number(button.dataset.room) === id));
+    remember();
+  };
+  const remember = () => {
+    const entries = Object.entries({room: state.room, storey: state.storey || null,
+      colour: state.colour === "room" ? null : state.colour}).filter(e => e[1] !== null);
+    history.replaceState(null, "", "#" + new URLSearchParams(entries));
+  };
+  const nameStorey = () =>
+    at("storeyname").textContent = state.storey ? data.storeys[state.storey - 1].name : "all";
+
+  const wanted = new URLSearchParams(location.hash.slice(1));
+  if (colours[wanted.get("colour")]) state.colour = wanted.get("colour");
+  state.storey = Math.min(data.storeys.length, Math.max(0, parseInt(wanted.get("storey")) || 0));
+  at("colour").value = state.colour;
+  at("storey").max = data.storeys.length;
+  at("storey").value = state.storey;
+  at("rooms").replaceChildren(...data.rooms.map(r => {
+    const button = document.createElement("button"), swatch = document.createElement("span");
+    button.type = "button"; button.dataset.room = r.id;
+    swatch.className = "swatch"; swatch.style.background = r.colour;
+    button.append(swatch, String(r.id));
+    button.onclick = () => select(r.id);
+    return button;
+  }));
+  legend(); nameStorey();
+  if (wanted.has("room")) select(parseInt(wanted.get("room")));
+
+  const problem = text => {
+    at("problem").hidden = false;
+    at("problem").textContent = text;
+    document.body.dataset.state = "failed";
+  };
+  const canvas = document.createElement("canvas");
+  if (!canvas.getContext("webgl2") && !canvas.getContext("webgl")) {
+    problem("This browser offers no WebGL, so the scene cannot be drawn; the rooms are listed beside.");
+    return;
+  }
+  const axis = title => ({title: {text: title}, backgroundcolor: "#fff", gridcolor: "#e0e4e9", showspikes: false});
+  const layout = {margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "keep",
+    scene: {aspectmode: "data", xaxis: axis("x (m)"), yaxis: axis("y (m)"), zaxis: axis("z (m)"),
+      camera: {eye: {x: 0.7, y: -1.3, z: 1.6}}}};
+  const traces = parts.map(part => ({...makers[part.kind](part), visible: shown(part)}));
+  const redraw = () => Plotly.restyle("plot", {visible: parts.map(shown)});
+  Plotly.newPlot("plot", traces, layout, {responsive: true, displaylogo: false}).then(plot => {
+    document.body.dataset.state = "drawn";
+    document.body.dataset.traces = String(plot.data.length);
+    plot.on("plotly_click", event => select(event.points[0].customdata));
+    at("storey").oninput = event => {
+      state.storey = Number(event.target.value); nameStorey(); remember(); redraw();
+    };
+    at("upper").onchange = redraw;
+    at("graph").onchange = redraw;
+    at("colour").onchange = event => {
+      state.colour = event.target.value; legend(); remember();
+      const which = parts.flatMap((part, k) => part.kind === "points" ? [k] : []);
+      Plotly.restyle("plot", {"marker.color": which.map(k => parts[k].rows.map(colours[state.colour]))}, which);
+    };
+  }).catch(error => problem(String(error)));
+})();

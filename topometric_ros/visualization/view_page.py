@@ -1,0 +1,154 @@
+"""One HTML page that shows a map in 3D in any browser, without a network.
+
+The page holds plotly's script, the points as base64 and its own small script; a content security
+policy forbids it to fetch anything.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.topometric_map import Room
+from topometric_ros.visualization.figures import hex_colour
+from topometric_ros.visualization.page import number, text
+from topometric_ros.visualization.view import (
+    Match,
+    View,
+    ViewPoints,
+    room_name,
+    room_shares,
+    view_points,
+)
+from topometric_ros.voxels.palette import room_colours
+
+GRAPH_HEIGHT = 2.3
+"""Height in metres above a storey's floor at which its part of the graph is drawn."""
+
+
+def view_html(view: View) -> str:
+    """Return the page of a view."""
+    from plotly.offline import get_plotlyjs
+
+    m = view.map
+    folder = files("topometric_ros.visualization")
+    page = (folder / "view_page.html").read_text(encoding="utf-8")
+    counts = [(len(m.rooms), "room"), (len(m.passages), "passage"), (len(m.storeys), "storey")]
+    words = [f"{count} {word}{'s' if count != 1 else ''}" for count, word in counts]
+    words.append(f"{len(m.voxels):,} voxels of {number(m.voxel_size, 2, 'm')}")
+    summary = ", ".join(words)
+    # "</" would end the element, and nothing in the data may do that.
+    data = json.dumps(_data(view, view_points(view)), allow_nan=False).replace("</", "<\\/")
+    parts = {
+        "@TITLE@": text(view.title),
+        "@SUMMARY@": text(summary),
+        "@MATCHES@": _matches(view.matches),
+        "@DATA@": data,
+        "@SCRIPT@": (folder / "view_page.js").read_text(encoding="utf-8"),
+        "@PLOTLY@": get_plotlyjs(),
+    }
+    # In one pass: what is put in is never searched for marks itself.
+    return re.sub(r"@[A-Z]+@", lambda mark: parts[mark[0]], page)
+
+
+def _data(view: View, points: ViewPoints) -> dict[str, Any]:
+    m = view.map
+    index = {storey.id: k for k, storey in enumerate(m.storeys)}
+    floors = [storey.floor_z for storey in m.storeys]
+    places = {room.id: index[room.storey] for room in m.rooms}
+
+    def over(place: tuple[float, float, float], storey: int) -> list[float]:
+        return [round(v, 3) for v in (place[0], place[1], floors[storey] + GRAPH_HEIGHT)]
+
+    nodes = {room.id: over(room.centroid, places[room.id]) for room in m.rooms}
+    edges = []
+    for passage in m.passages:
+        ends = [places[room] for room in passage.rooms]
+        middle = over(passage.position, min(ends))
+        if ends[0] != ends[1]:
+            middle[2] = (nodes[passage.rooms[0]][2] + nodes[passage.rooms[1]][2]) / 2
+        path = [nodes[passage.rooms[0]], middle, nodes[passage.rooms[1]]]
+        edges.append({"storeys": sorted(set(ends)), "path": path})
+    return {
+        "points": {
+            "xyz": _base64(points.xyz.astype("<f4")),
+            "room": _base64(points.room.astype("<i4")),
+            "storey": _base64(points.storey),
+            "observers": _base64(points.observers),
+            "upper": _base64(points.upper.astype(np.uint8)),
+        },
+        "classes": [{"name": n, "colour": hex_colour(c)} for n, c in points.classes],
+        "storeys": [
+            {
+                "name": f"{storey.id}, floor at {number(storey.floor_z, 2, 'm')}",
+                "colour": hex_colour(room_colours([k + 1])[0]),
+            }
+            for k, storey in enumerate(m.storeys)
+        ]
+        or [{"name": "0", "colour": hex_colour(room_colours([1])[0])}],
+        "rooms": [
+            {
+                "id": room.id,
+                "name": room_name(room.id),
+                "storey": places[room.id],
+                "colour": hex_colour(room_colours([room.id])[0]),
+                "node": nodes[room.id],
+                "attributes": _attributes(view, room),
+            }
+            for room in m.rooms
+        ],
+        "edges": edges,
+    }
+
+
+def _attributes(view: View, room: Room) -> list[tuple[str, str]]:
+    """Return what a click on a room shows, as words."""
+    size = np.subtract(room.bounds[1], room.bounds[0])
+    neighbours = sorted(
+        {i for p in view.map.passages if room.id in p.rooms for i in p.rooms} - {room.id}
+    )
+    attributes = [
+        ("storey", str(room.storey)),
+        ("area", number(room.area, 1, "m²")),
+        ("size", " × ".join(f"{v:.1f}" for v in size) + "\u00a0m"),
+        ("centre", ", ".join(number(v, 2) for v in room.centroid)),
+        ("voxels", f"{room.voxels:,}"),
+        ("passages to", ", ".join(map(str, neighbours)) or "none found"),
+    ]
+    if len(view.agents) > 1:
+        shares = room_shares(view, room.id)
+        seen = ", ".join(f"{agent} ({100 * share:.0f} %)" for agent, share in shares.items())
+        attributes.append(("seen by", seen or "nobody"))
+    for match in view.matches:
+        attributes += [
+            (f"as {match.agents[k]} room", f"{pair[k]} = {match.agents[1 - k]} room {pair[1 - k]}")
+            for pair in match.rooms
+            for k in (0, 1)
+            if view.agents == (match.agents[k],) and pair[k] == room.id
+        ]
+    return attributes
+
+
+def _matches(matches: tuple[Match, ...]) -> str:
+    if not matches:
+        return ""
+    body = "".join(
+        f"<p><b>{text(' – '.join(match.agents))}: {text(match.status)}</b></p>"
+        f'<p class="soft">{text(match.reason)}</p>'
+        + "".join(
+            f"<p>{text(match.agents[0])} room {a} = {text(match.agents[1])} room {b}</p>"
+            for a, b in match.rooms
+        )
+        for match in matches
+    )
+    return f'<h2>Matches</h2><div id="matches">{body}</div>'
+
+
+def _base64(array: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")

@@ -1,0 +1,77 @@
+"""From a cloud, a bag, a .tmap file or an output folder to what the view shows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from topometric_ros.errors import TopometricError
+from topometric_ros.io.map_files import load_global_map
+from topometric_ros.runtime.bag_sources import parse_source
+from topometric_ros.runtime.config import ToolConfig
+from topometric_ros.runtime.sources import MAP_SUFFIX, InputOptions, load_source
+from topometric_ros.visualization.view import Match, View, single_view
+
+
+class ViewError(TopometricError):
+    """Nothing there that can be shown."""
+
+
+def load_view(
+    source: str, config: ToolConfig, options: InputOptions, progress: Callable[[str], None]
+) -> View:
+    """Return the view of a source.
+
+    Parameters
+    ----------
+    source : cloud, BAG[:TOPIC], .tmap file, or folder that extract, merge or replay wrote to
+    config, options : of the extraction, where one is needed
+
+    Raises
+    ------
+    TopometricError
+        The source cannot be read or holds nothing to show.
+    """
+    path = Path(source)
+    for name in ("global.tmap", "map.tmap"):
+        if (path / name).is_file():
+            return _map_file_view(path / name)
+    if path.suffix.lower() == MAP_SUFFIX and path.is_file():
+        return _map_file_view(path)
+    return single_view(load_source(parse_source(source), config, options, progress).map)
+
+
+def _map_file_view(path: Path) -> View:
+    """Return the view of a map file, with the matches of the merge.json beside a global map."""
+    m, observed_by, agents = load_global_map(path)
+    if observed_by is None or not agents:
+        return single_view(m)
+    summary = path.with_name("merge.json")
+    matches = _matches(summary) if path.name == "global.tmap" and summary.is_file() else ()
+    title = f"global map of {', '.join(_present(observed_by, agents))}"
+    return View(title, m, observed_by, tuple(agents), matches)
+
+
+def _present(observed_by: np.ndarray, agents: tuple[str, ...]) -> list[str]:
+    """Return the agents that saw anything of a map."""
+    everything = int(np.bitwise_or.reduce(observed_by)) if len(observed_by) else 0
+    return [agent for k, agent in enumerate(agents) if everything >> k & 1] or list(agents)
+
+
+def _matches(path: Path) -> tuple[Match, ...]:
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        return tuple(
+            Match(
+                (str(entry["agents"][0]), str(entry["agents"][1])),
+                str(entry["status"]),
+                str(entry["reason"]),
+                tuple((int(a), int(b)) for a, b, _ in entry["matches"]),
+            )
+            for entry in summary["alignments"]
+        )
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise ViewError(f"{path}: not the summary of a merge: {error!r}") from error
