@@ -32,6 +32,8 @@ from topometric_ros.simulation.labelled import LabelledBuilding
 
 _WING_SHARE = 0.3
 """Share of a storey's rooms in each wing."""
+_ROWS = {"straight": 2, "L": 4, "ring": 6, "comb": 5}
+"""Rows of rooms along the smallest corridor of each shape."""
 _NEIGHBOURS_JOINED = 0.12
 """Share of neighbours in a strip with a door between them."""
 
@@ -47,7 +49,7 @@ class GeneratorConfig:
     rooms: int = parameter(
         0,
         "Rooms along the corridors of all storeys, without the small ones cut out of them; "
-        "0: office 12, home 7, hospital 20.",
+        "0: on each storey office 12, home 7, hospital 20, more with wings.",
         minimum=0,
         maximum=5000,
     )
@@ -138,7 +140,9 @@ def _name(config: GeneratorConfig) -> str:
 
 def _rooms_of_blocks(config: GeneratorConfig, style: Style) -> list[list[int]]:
     """Return for each storey how many rooms the main block and each wing get."""
-    total = config.rooms or style.rooms * config.storeys
+    needed = max(style.rooms, _ROWS[config.corridor] + config.wings)
+    usual = math.ceil(needed / (1 - _WING_SHARE * config.wings))
+    total = config.rooms or usual * config.storeys
     counts = []
     for storey in range(config.storeys):
         rooms = total // config.storeys + (storey < total % config.storeys)
@@ -169,8 +173,8 @@ def _designs(
     lengths[0] -= STAIRS_WIDTH if stairs else 0.0
     if count < len(lengths) or min(lengths) < 2.0:
         raise ConfigurationError(
-            f"rooms: a {config.corridor} corridor has {len(lengths)} rows of rooms on each storey, "
-            f"got {count} rooms for them"
+            f"rooms: the main block has {len(lengths)} rows of rooms on each storey "
+            f"(corridor {config.corridor}), got {count} rooms for them"
         )
     places = 1 + np.zeros(len(lengths), dtype=int)
     for _ in range(count - len(lengths)):
