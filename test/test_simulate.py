@@ -1,28 +1,14 @@
 """Simulated agents: the truth about them holds, and what is asked to go wrong does, no more."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from topometric_ros.cli.main import main
-from topometric_ros.configuration import with_values
-from topometric_ros.errors import ConfigurationError
-from topometric_ros.fusion.merge import merge
-from topometric_ros.runtime.config import load_config
-from topometric_ros.runtime.sources import load_sources
+from test.helpers_simulation import ONE_WALK, SPEC, configured, in_building
 from topometric_ros.simulation.buildings import load_building
-from topometric_ros.simulation.case import CaseError, overlaps_of
-from topometric_ros.simulation.cases import (
-    SimulationConfig,
-    Walk,
-    prepare,
-    read_case,
-    simulate,
-    write_case,
-)
+from topometric_ros.simulation.case import overlaps_of
+from topometric_ros.simulation.cases import Walk, prepare, simulate
 from topometric_ros.simulation.degrade import (
     DegradeConfig,
     drifted,
@@ -31,21 +17,8 @@ from topometric_ros.simulation.degrade import (
     thinned,
 )
 from topometric_ros.simulation.sensors import CameraConfig, camera_directions
-from topometric_ros.simulation.simulation_config import load_simulation_config, parse_walk
-from topometric_ros.simulation.trajectories import TrajectoryError
+from topometric_ros.simulation.simulation_config import parse_walk
 from topometric_ros.simulation.world import make_world
-
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "pairs"
-SPEC = "office:seed=3,rooms=6"
-LIGHT = {"sensor.lidar.rings": 24, "sensor.lidar.azimuths": 200}
-"""A sensor with few rays: most statements do not need many."""
-ONE_WALK = (Walk(rooms=(1, 2)), Walk(rooms=(1, 2)))
-
-
-def configured(**values):
-    """Return a configuration with a light sensor; names have __ for the dots."""
-    named = {name.replace("__", "."): value for name, value in values.items()}
-    return with_values(SimulationConfig(), {**LIGHT, **named})
 
 
 @pytest.fixture(scope="module")
@@ -56,28 +29,6 @@ def building():
 @pytest.fixture(scope="module")
 def ready(building):
     return prepare(building, configured())
-
-
-def in_building(agent):
-    """Return an agent's points put into the building by the truth."""
-    T = np.linalg.inv(agent.T_agent_building)
-    return agent.points @ T[:3, :3].T + T[:3, 3]
-
-
-def contents(folder):
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
-@pytest.mark.parametrize("bag", ["scans", "maps"])
-def test_the_same_seed_gives_the_same_bytes(building, ready, tmp_path, bag):
-    config = configured(degrade__drift=0.01, degrade__dropout=0.1, degrade__moved=0.5)
-    write_case(simulate(ready, config, 5), tmp_path / "one", bag)
-    # From the building itself, with nothing remembered of other cases.
-    simulate(ready, config, 6)
-    write_case(simulate(building, config, 5), tmp_path / "two", bag)
-    one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
-    assert one == two
-    assert {"a.ply", "b.ply", "truth.json", "truth.npz"} <= {p.name for p in one}
 
 
 def test_another_seed_gives_other_walks_and_frames(ready):
@@ -286,98 +237,3 @@ def test_a_labelled_cloud_is_scanned_by_its_voxels(ready, building):
     for again in case.agents:
         assert make_world(building).clearance(in_building(again)).max() < 0.05
         assert {1, 2} <= set(np.unique(again.room))
-
-
-def test_what_is_written_is_read_again(ready, tmp_path):
-    case = simulate(ready, configured(agents=3), 1)
-    write_case(case, tmp_path / "case")
-    again = read_case(tmp_path / "case")
-    assert (again.plan, again.seed, again.edges) == (case.plan, case.seed, case.edges)
-    np.testing.assert_array_equal(again.overlap, case.overlap)
-    assert len(case.pairs()) == len(case.overlap) == 3
-    for one, two in zip(case.agents, again.agents, strict=True):
-        assert (one.id, one.rooms_walked) == (two.id, two.rooms_walked)
-        for name in ("points", "room", "poses", "scan_of_point", "T_agent_building"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-
-
-def test_the_folder_has_the_layout_of_the_shared_pairs(ready, tmp_path):
-    if not DATA.is_dir():
-        pytest.skip("../shared/data/pairs is not here")
-    shared = DATA / "duplex_101"
-    write_case(simulate(ready, configured(), 1), tmp_path / "case")
-    theirs, ours = (json.loads((f / "truth.json").read_text()) for f in (shared, tmp_path / "case"))
-    assert set(theirs) == set(ours)
-    assert np.shape(theirs["a_from_b"]) == np.shape(ours["a_from_b"])
-    np.testing.assert_allclose(
-        np.array(ours["a_from_world"]), ours["a_from_b"] @ np.array(ours["b_from_world"])
-    )
-    with np.load(shared / "truth.npz") as a, np.load(tmp_path / "case" / "truth.npz") as b:
-        assert {name: a[name].dtype for name in "ab"} == {name: b[name].dtype for name in "ab"}
-    case = read_case(shared)
-    assert case.overlap[0] == pytest.approx(theirs["overlap"])
-    assert len(case.agents[0].points) == theirs["points"]["a"]
-
-
-def test_a_damaged_case_is_refused(ready, tmp_path):
-    write_case(simulate(ready, configured(), 1, ONE_WALK), tmp_path)
-    (tmp_path / "truth.json").write_text("{}")
-    with pytest.raises(CaseError, match="not a simulated case"):
-        read_case(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("kind", "topic"), [("scans", "scan_cloud"), ("maps", "cloud_map")], ids=["scans", "maps"]
-)
-def test_the_bag_replays_to_the_maps_and_they_align(ready, tmp_path, kind, topic):
-    case = simulate(ready, configured(overlap=0.8), 4)
-    write_case(case, tmp_path, kind)
-    config = load_config("default")
-    bag = tmp_path / "bag"
-    maps = [
-        loaded.map for loaded in load_sources([f"{k}={bag}:/{k}/{topic}" for k in "ab"], config)
-    ]
-    (alignment,) = merge(maps, config.merge).alignments
-    assert alignment.status == "accepted", alignment.reason
-    T, truth = alignment.T_a_b, case.T_a_b(0, 1)
-    points = case.agents[1].points[::50]
-    moved = points @ (T - truth)[:3, :3].T + (T - truth)[:3, 3]
-    assert np.linalg.norm(moved, axis=1).mean() < 0.05
-
-
-def test_the_command_writes_cases_and_says_what_they_share(tmp_path, capsys):
-    file = tmp_path / "f.yaml"
-    file.write_text("sensor: {lidar: {rings: 16, azimuths: 120}}\nwalk: {spacing: 2.0}\n")
-    arguments = ["simulate", SPEC, "-o", str(tmp_path / "out"), "--config", str(file)]
-    assert main([*arguments, "--count", "2", "--seed", "7", "--json"]) == 0
-    cases = json.loads(capsys.readouterr().out)["cases"]
-    assert [case["name"][-2:] for case in cases] == ["_7", "_8"]
-    for case in cases:
-        read = read_case(tmp_path / "out" / case["name"])
-        assert case["overlap"] == [pytest.approx(read.overlap[0], abs=1e-4)]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--agents", "0"], "agents: expected 1..26, got 0"),
-        (["--overlap", "1.5"], "overlap: expected 0.0..1.0, got 1.5"),
-        (["--walk", "99,1"], "nobody can stand in room 99"),
-        (["--walk", "here"], "walk: expected room ids"),
-        (["--walk", "1,2", "--agents", "2"], "expected a walk for each of 2 agents, got 1"),
-    ],
-)
-def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path, capsys, arguments, message):
-    assert main(["simulate", SPEC, "-o", str(tmp_path), *arguments]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-
-
-def test_a_parameter_file_is_checked(tmp_path):
-    file = tmp_path / "f.yaml"
-    file.write_text("degrade: {dropuot: 0.1}")
-    with pytest.raises(ConfigurationError, match=r"degrade.dropuot"):
-        load_simulation_config(file)
-    with pytest.raises(TrajectoryError, match="expected room ids"):
-        parse_walk("1 2 3 4; 5 6")
