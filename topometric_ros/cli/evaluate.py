@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 from topometric_ros.cli.common import add_verbose, finish_progress, output_folder, progress_of
-from topometric_ros.extraction.config import PRESETS
 
 
 def add_parser(commands: Any) -> None:
@@ -25,7 +23,7 @@ def add_parser(commands: Any) -> None:
     )
     command.add_argument("--jobs", type=_jobs, metavar="N", help="processes (default: all cores)")
     command.add_argument(
-        "--presets", nargs="+", choices=PRESETS, help="in place of those that the suite names"
+        "--presets", nargs="+", metavar="P", help="default, thesis: in place of the suite's own"
     )
     command.add_argument(
         "--fresh", action="store_true", help="compute all rows again, after the code has changed"
@@ -39,13 +37,13 @@ def evaluate(options: argparse.Namespace) -> int:
     from topometric_ros.evaluation.report import report_html
     from topometric_ros.evaluation.rows import clear
     from topometric_ros.evaluation.runner import run_suite
-    from topometric_ros.evaluation.suite import read_suite
+    from topometric_ros.evaluation.suite import read_suite, with_presets
     from topometric_ros.evaluation.table_cells import markdown
     from topometric_ros.evaluation.tables import tables
 
     suite = read_suite(options.suite)
     if options.presets:
-        suite = dataclasses.replace(suite, presets=tuple(dict.fromkeys(options.presets)))
+        suite = with_presets(suite, options.presets)
     folder, progress = output_folder(options), progress_of(options)
     if options.fresh:
         clear(folder)

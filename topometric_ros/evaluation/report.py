@@ -28,8 +28,8 @@ from topometric_ros.visualization.page import table as html_table
 from topometric_ros.visualization.pair_figures import matches_figure, overlay_figure
 from topometric_ros.voxels.palette import agent_colour
 
-PICTURED = 6
-"""So many cases have pictures."""
+PICTURED = 4
+"""So many cases of each preset have pictures."""
 
 
 def report_html(
@@ -43,7 +43,8 @@ def report_html(
 ) -> str:
     """Return the page; pictures are drawn of what `evaluate_case` left in `out`."""
     ranked = sorted(rows, key=badness, reverse=True)
-    done = [row for row in ranked if not row.failed]
+    presets = dict.fromkeys(row.preset for row in rows)
+    done = {p: [row for row in ranked if row.preset == p and not row.failed] for p in presets}
     parts = [
         '<p class="kicker">Evaluation of topometric mapping and merging</p>',
         f"<h1>Suite {text(title)}</h1>",
@@ -51,11 +52,12 @@ def report_html(
         *(_table(table) for table in tables(rows, seconds)),
         "<h2>All cases, worst first</h2>",
         f'<section class="card">{_all_cases(ranked)}</section>',
-        "<h2>The worst cases</h2>",
     ]
-    for row in done[:pictured]:
-        progress(f"drawing {row.case} ({row.preset})")
-        parts.append(_case(row, out))
+    for preset, members in done.items():
+        parts.append(f"<h2>The worst cases under preset {text(preset)}</h2>")
+        for row in members[:pictured]:
+            progress(f"drawing {row.case} ({row.preset})")
+            parts.append(_case(row, out))
     return page(f"Evaluation: {title}", "\n".join(parts))
 
 
@@ -162,8 +164,9 @@ def _pair(entry: Mapping[str, Any], maps: Mapping[str, TopometricMap], agents: l
         colours = [hex_colour(agent_colour(agents.index(name))) for name in alignment.agents]
         png = overlay_figure(a, b, alignment.T_a_b, (colours[0], colours[1]))
         parts.append(picture(png, "overlay", "Walls laid over each other; red: in conflict."))
-    note = f"{len(alignment.matches)} matched rooms"
-    parts.append(details("matches", picture(matches_figure(a, b, alignment), "matches", note)))
+    if alignment.matches:
+        note = f"{len(alignment.matches)} matched rooms; unmatched rooms are grey."
+        parts.append(details("matches", picture(matches_figure(a, b, alignment), "matches", note)))
     return "".join(parts)
 
 

@@ -22,8 +22,8 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -110,10 +110,7 @@ def parse_suite(tree: Any, name: str = "suite") -> Suite:
             raise SuiteError(f"unknown key {key!r}; known: {', '.join(_KEYS)}")
         if not isinstance(value, _KEYS[key]) or isinstance(value, bool):
             raise SuiteError(f"{key}: expected {_KEYS[key].__name__}, got {value!r}")
-    presets = tuple(map(str, tree.get("presets", PRESETS)))
-    unknown = [preset for preset in presets if preset not in PRESETS]
-    if unknown or not presets:
-        raise SuiteError(f"presets: expected some of {', '.join(PRESETS)}, got {presets}")
+    presets = _checked(tree.get("presets", PRESETS))
     cases = (*_ready(tree), *_simulated(tree))
     if not cases:
         raise SuiteError("no cases: expected pairs or buildings")
@@ -122,6 +119,18 @@ def parse_suite(tree: Any, name: str = "suite") -> Suite:
     if twice is not None:
         raise SuiteError(f"two cases are named {twice!r}")
     return Suite(str(tree.get("name", name)), presets, cases)
+
+
+def with_presets(suite: Suite, presets: Sequence[str]) -> Suite:
+    """Return the suite under other presets; raises SuiteError for an unknown one."""
+    return replace(suite, presets=_checked(presets))
+
+
+def _checked(presets: Sequence[Any]) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(map(str, presets)))
+    if not names or not set(names) <= set(PRESETS):
+        raise SuiteError(f"presets: expected some of {', '.join(PRESETS)}, got {list(names)}")
+    return names
 
 
 def _ready(tree: Mapping[str, Any]) -> list[CaseSpec]:

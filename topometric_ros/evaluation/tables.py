@@ -157,7 +157,7 @@ def _matching(rows: Sequence[CaseResult]) -> Table:
                     *(group, preset, words),
                     share(counts.right, counts.made),
                     share(counts.right, counts.possible),
-                    f"{100 * counts.accuracy:.1f} % (N = {counts.pairs})" if counts.pairs else "–",
+                    f"{100 * counts.accuracy:.2f} % (N = {counts.pairs})" if counts.pairs else "–",
                     f"{counts.f1:.2f}",
                     share(loose, counts.made),
                     mean(_precisions(members, stage)),
