@@ -20,7 +20,7 @@ from topometric_ros.evaluation.benchmark import (
     run_benchmark,
     write_benchmark,
 )
-from topometric_ros.evaluation.benchmark_tables import benchmark_tables, rate
+from topometric_ros.evaluation.benchmark_tables import benchmark_tables, false_merges, share_of
 from topometric_ros.evaluation.peers.base import PeerError
 from topometric_ros.evaluation.peers.birdseye import Birdseye
 from topometric_ros.evaluation.peers.registry import DEFAULT_PEERS, PEER_NAMES, make_peer
@@ -139,13 +139,15 @@ def test_a_pose_for_a_pair_without_overlap_is_a_false_merge():
 
 
 def test_a_rate_of_zero_has_its_bound():
-    assert rate([row()] * 59, lambda one: one.false_merge) == "0 of 59 (< 5 %)"
-    assert rate([row()] * 3, lambda one: one.right) == "3 of 3"
+    none = [row(displacement=9.0, accepted=False)] * 59
+    assert false_merges(none) == "0 % (0/59; below 5.0 %)"
+    assert share_of(none, lambda one: one.right) == "0 % (0/59; below 5.0 %)"
+    assert share_of([row()] * 3, lambda one: one.right) == "100 % (3/3)"
 
 
 def test_tables_hold_every_method_and_pair():
     rows = [row(), row(pair="q", overlap=0.0), row(peer="two", cpu=float("nan"), error="broke")]
     text = benchmark_tables(rows)
-    assert "| one | 1 of 1 | 1 of 1 | 1 of 1 | 1 of 1 | 1 of 2 |" in text
+    assert "| one" + 4 * " | 100 % (1/1)" + " | 50 % (1/2; " in text
     assert re.search(r"\| q \| 0.00 \| \*\*0.010\*\* \|  \|", text)
     assert "- two on p: broke" in text

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from topometric_ros.evaluation.benchmark import BenchmarkRow
-from topometric_ros.evaluation.metrics_fusion import LITTLE_OVERLAP, RIGHT, upper_bound
+from topometric_ros.evaluation.metrics_fusion import LITTLE_OVERLAP, RIGHT
+from topometric_ros.evaluation.table_cells import rate, share
 
 _BANDS = ((0.5, 1.01), (0.35, 0.5), (0.2, 0.35), (LITTLE_OVERLAP, 0.2))
 
@@ -30,12 +31,15 @@ def benchmark_tables(rows: Rows) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def rate(rows: Rows, is_so: Callable[[BenchmarkRow], bool]) -> str:
-    """Return how many of how many, and what the share could be at most where none is."""
+def share_of(rows: Rows, is_so: Callable[[BenchmarkRow], bool]) -> str:
+    """Return the share of rows that are so, with N; where none is, how many there could be."""
     count = sum(is_so(row) for row in rows)
-    if count or not rows:
-        return f"{count} of {len(rows)}"
-    return f"0 of {len(rows)} (< {100 * upper_bound(0, len(rows)):.0f} %)"
+    return share(count, len(rows)) if count else rate(0, len(rows))
+
+
+def false_merges(rows: Rows) -> str:
+    """Return the rate of false merges with N and its upper 95 % bound."""
+    return rate(sum(row.false_merge for row in rows), len(rows))
 
 
 def _summary(by_peer: dict[str, list[BenchmarkRow]]) -> str:
@@ -49,11 +53,11 @@ def _summary(by_peer: dict[str, list[BenchmarkRow]]) -> str:
         lines.append(
             [
                 peer,
-                rate(possible, lambda row: row.accepted and row.right),
-                rate(possible, lambda row: row.accepted and row.strictly_right),
-                rate(possible, lambda row: row.right),
-                rate(possible, lambda row: row.strictly_right),
-                rate(rows, lambda row: row.false_merge),
+                share_of(possible, lambda row: row.accepted and row.right),
+                share_of(possible, lambda row: row.accepted and row.strictly_right),
+                share_of(possible, lambda row: row.right),
+                share_of(possible, lambda row: row.strictly_right),
+                false_merges(rows),
                 f"{np.median(seconds):.1f}" if seconds else "–",
                 f"{max(seconds):.1f}" if seconds else "–",
                 f"{max(memory):.0f}" if memory else "–",
@@ -68,7 +72,7 @@ def _by_overlap(by_peer: dict[str, list[BenchmarkRow]]) -> str:
         cells = [[row for row in rows if low <= row.overlap < high] for rows in by_peer.values()]
         if any(cells):
             name = f"{low:g} and more" if high > 1 else f"{low:g} to {high:g}"
-            lines.append([name, *(rate(cell, lambda row: row.right) for cell in cells)])
+            lines.append([name, *(share_of(cell, lambda row: row.right) for cell in cells)])
     return _table(["overlap", *by_peer], lines)
 
 
