@@ -129,3 +129,11 @@ def test_furniture_can_be_told_from_the_structure_piece_by_piece():
 def test_a_building_that_cannot_be_made_is_refused(spec):
     with pytest.raises(ConfigurationError):
         load_building(spec)
+
+
+@pytest.mark.parametrize("kind", ["office", "home", "hospital"])
+@pytest.mark.parametrize("corridor", ["straight", "L", "ring", "comb"])
+def test_every_shape_can_be_made_of_every_kind_with_wings_and_storeys(kind, corridor):
+    building = load_building(f"{kind}:corridor={corridor},wings=2,storeys=2,twins=2")
+    assert is_one_piece(building)
+    assert {room.storey for room in building.rooms} == {0, 1}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,7 +86,7 @@ def _straight(frontage: float, depth: float, width: float) -> Layout:
         Strip((0.0, width), (1, 0), (0, 1), length, depth, True),
     )
     ports = (Port((length, width / 2), (1, 0)), Port((0.0, width / 2), (-1, 0)))
-    return Layout(((0.0, 0.0, length, width),), strips, ports)
+    return Layout(((0.0, 0.0, length, width),), strips, _rounded_ports(ports))
 
 
 def _bent(frontage: float, depth: float, width: float) -> Layout:
@@ -103,7 +104,7 @@ def _bent(frontage: float, depth: float, width: float) -> Layout:
     )
     corridor = ((0.0, 0.0, west, width), (west, 0.0, across, width), (west, width, across, north))
     ports = (Port((0.0, width / 2), (-1, 0)), Port((across - width / 2, north), (0, 1)))
-    return Layout(_rounded(corridor), strips, ports)
+    return Layout(_rounded(corridor), strips, _rounded_ports(ports))
 
 
 def _ring(frontage: float, depth: float, width: float, wings: int) -> Layout:
@@ -133,7 +134,7 @@ def _ring(frontage: float, depth: float, width: float, wings: int) -> Layout:
             strips.append(Strip((line, start), (0, 1), (away, 0), _snap(length), depth, True))
         corridor.append((min(line, end), low, max(line, end), low + width))
         ports.append(Port((end, low + width / 2), (away, 0)))
-    return Layout(_rounded(corridor), tuple(strips), tuple(ports))
+    return Layout(_rounded(corridor), tuple(strips), _rounded_ports(ports))
 
 
 def _comb(frontage: float, depth: float, width: float) -> Layout:
@@ -154,7 +155,7 @@ def _comb(frontage: float, depth: float, width: float) -> Layout:
         start = (round(x + width, 3), width)
         strips.append(Strip(start, (0, 1), (1, 0), length, depth, right))
     ports = (Port((round(wide, 3), width / 2), (1, 0)), Port((0.0, width / 2), (-1, 0)))
-    return Layout(_rounded(corridor), tuple(strips), ports)
+    return Layout(_rounded(corridor), tuple(strips), _rounded_ports(ports))
 
 
 def _rounded(rectangles: list[Rectangle] | tuple[Rectangle, ...]) -> tuple[Rectangle, ...]:
@@ -163,3 +164,11 @@ def _rounded(rectangles: list[Rectangle] | tuple[Rectangle, ...]) -> tuple[Recta
         (round(x0, 3) + 0.0, round(y0, 3) + 0.0, round(x1, 3) + 0.0, round(y1, 3) + 0.0)
         for x0, y0, x1, y1 in rectangles
     )
+
+
+def _rounded_ports(ports: Sequence[Port]) -> tuple[Port, ...]:
+    """Round to millimetres, so that a port lies on the wall at its corridor's end."""
+    places = [
+        (round(port.position[0], 3) + 0.0, round(port.position[1], 3) + 0.0) for port in ports
+    ]
+    return tuple(Port(place, port.outwards) for place, port in zip(places, ports, strict=True))
