@@ -31,8 +31,10 @@ class Described:
 
 def describe(points: NDArray[np.float64], voxel_size: float) -> Described:
     """Thin a cloud (N, 3), m, to `voxel_size` (m) and compute the features of what is left."""
-    import open3d as o3d
+    import open3d
 
+    # Its stubs ask for arguments that have defaults.
+    o3d: Any = open3d
     raw = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud = raw.voxel_down_sample(voxel_size)
     tree = o3d.geometry.KDTreeSearchParamHybrid
