@@ -154,8 +154,8 @@ def _candidate_yaws(
     (direction_a, clear_a), (direction_b, clear_b) = _direction(walls_a), _direction(walls_b)
     if min(clear_a, clear_b) < _CLEAR_DIRECTION:
         return np.arange(0.0, 2 * np.pi, _SWEEP_STEP)
-    turns: NDArray[np.float64] = direction_a - direction_b + np.pi / 2 * np.arange(4)
-    return turns
+    quarter_turns = np.arange(4, dtype=np.float64) * (np.pi / 2)
+    return np.asarray(quarter_turns + (direction_a - direction_b), dtype=np.float64)
 
 
 def _correlate(a: _Level, b: _Level, yaw: float) -> _Maximum:
