@@ -145,3 +145,27 @@ def test_the_rooms_of_a_scanned_flat_are_found() -> None:
     assert m.T_level_input.tolist() == np.eye(4).tolist()
     assert 5 <= len(m.rooms) <= 9
     assert len(m.passages) >= 4
+
+
+def test_a_cloud_in_projected_coordinates_gives_the_same_map_in_a_moved_frame() -> None:
+    away = np.array([500_000.0, 5_000_000.0, 3000.0])
+    near, far = _map(_two_rooms()), _map(_two_rooms() + away)
+    assert len(far.rooms) == len(near.rooms) == 2
+    np.testing.assert_array_equal(far.T_level_input[:3, 3], -away)
+    assert "T_level_input" in far.warnings[0]
+    T_input_level = np.linalg.inv(far.T_level_input)
+    np.testing.assert_allclose(
+        moved(far.surface(), T_input_level).mean(0), near.surface().mean(0) + away, atol=0.01
+    )
+
+
+def test_a_later_map_of_a_session_keeps_the_moved_frame() -> None:
+    far = _two_rooms() + (500_400.0, 0.0, 0.0)
+    first = _map(far)
+    grown = np.concatenate([far, box_room((500_409.3, 0, 0), (200, 4, 2.6), step=0.2)])
+    later = extract(
+        grown, ExtractionConfig(), origin=first.origin, T_level_input=first.T_level_input
+    ).map
+    np.testing.assert_array_equal(later.T_level_input, first.T_level_input)
+    known = set(map(tuple, later.voxels.tolist()))
+    assert np.mean([tuple(v) in known for v in first.voxels.tolist()]) > 0.99

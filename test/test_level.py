@@ -102,4 +102,9 @@ def test_another_axis_with_larger_layers_is_named() -> None:
 
 def test_without_a_floor_the_option_is_named() -> None:
     assert "use --up x" in str(no_floor(_slope(4, 4, 0, 0)[:, [2, 0, 1]]))
-    assert "--up x or --up y" in str(no_floor(np.zeros((1, 3))))
+    assert "--up x or --up y" in str(no_floor(_slope(1, 1, 0, 0)))
+
+
+def test_a_cloud_too_small_for_any_floor_is_asked_whether_it_is_in_metres() -> None:
+    assert "is it in metres?" in str(no_floor(np.zeros((1, 3))))
+    assert "0.00894 m x" in str(no_floor(_slope(9, 4, 0, 0) / 1000))

@@ -25,6 +25,9 @@ _FIT_ROUNDS = 4
 _COARSE_STEP = 1.5
 _NOTICED_TILT = 0.5
 
+_SMALLEST_LAYER = 0.5
+"""Area in m² below which nothing is a floor, whatever axis points up."""
+
 
 @dataclass(frozen=True)
 class LevelConfig:
@@ -115,6 +118,12 @@ def no_floor(points: NDArray[np.float64]) -> ExtractionError:
     """Return the error for a cloud (P, 3) in which nothing has headroom above it."""
     layers = _largest_layers(thin(points, _CELL), np.array([0.0, 0.0, 1.0]))
     axis = "xy"[int(np.argmax(layers[:2]))]
+    if max(layers) < _SMALLEST_LAYER:
+        x, y, z = np.ptp(points, axis=0)
+        return ExtractionError(
+            f"no floor found with z up or any other axis: the cloud spans {x:.3g} m x {y:.3g} m x "
+            f"{z:.3g} m; is it in metres? If it is, name the axis that points up with --up"
+        )
     if max(layers[:2]) <= layers[2]:
         return ExtractionError(
             f"no floor found with z up (largest level {layers[2]:.0f} m²): "

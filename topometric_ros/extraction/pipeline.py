@@ -16,6 +16,7 @@ from topometric_ros.extraction.assemble import assemble_rooms, majority, map_war
 from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.errors import ExtractionError
+from topometric_ros.extraction.extent import anchor, moved_warnings, without_strays
 from topometric_ros.extraction.layers import refine_floor, storey_layers
 from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_warnings
 from topometric_ros.extraction.navigation import navigable_volume
@@ -54,7 +55,8 @@ class _Scene:
     """
 
     points: NDArray[np.float64]
-    level: Level
+    T_level_input: NDArray[np.float64]
+    warnings: tuple[str, ...]
     grid: VoxelGrid
     cell_of_point: NDArray[np.int64]
     raster_of_point: NDArray[np.int64]
@@ -126,7 +128,7 @@ def extract(
         storey = scene.per_voxel(scene.storey_of_raster)
         rooms = assemble_rooms(grid, room, storey, passages)
         offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
-    warnings = (*scene.level.warnings, *map_warnings(room))
+    warnings = (*scene.warnings, *map_warnings(room))
     for warning in warnings:
         logger.warning("%s: %s", agent, warning)
     x, y, z = (float(v) for v in grid.origin)
@@ -146,7 +148,7 @@ def extract(
         rooms=rooms,
         passages=passages,
         storeys=storeys,
-        T_level_input=scene.level.T_level_input,
+        T_level_input=scene.T_level_input,
         warnings=warnings,
     )
     return Extraction(result, watch.seconds)
@@ -163,12 +165,15 @@ def _scene(
     if len(points) == 0:
         raise ExtractionError("no points to extract a map from")
     with watch.stage("thin"):
-        points = thin(np.asarray(points, np.float64), min(config.voxel_size / 2, _FINEST_LAYERS))
+        points, strays = without_strays(np.asarray(points, np.float64))
+        middle = _middle(points, T_level_input)
+        points = points - middle if middle.any() else points
+        points = thin(points, min(config.voxel_size / 2, _FINEST_LAYERS))
     with watch.stage("level"):
         level = _level(points, T_level_input, config)
-        T = level.T_level_input
-        if not np.array_equal(T, np.eye(4)):
-            points = points @ T[:3, :3].T + T[:3, 3]
+        R = level.T_level_input[:3, :3]
+        if not np.array_equal(R, np.eye(3)):
+            points = points @ R.T
     with watch.stage("storeys"):
         lattice = np.zeros(3) if origin is None else np.array(origin, np.float64)
         raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
@@ -181,9 +186,13 @@ def _scene(
             grid, cell_of_point = raster, raster_of_point
         else:
             grid, cell_of_point = voxelise(points, config.voxel_size, lattice)
+    if T_level_input is None:
+        T_level_input = level.T_level_input.copy()
+        T_level_input[:3, 3] = -R @ middle + 0.0
     return _Scene(
         points,
-        level,
+        T_level_input,
+        (*strays, *moved_warnings(middle), *level.warnings),
         grid,
         cell_of_point,
         raster_of_point,
@@ -192,6 +201,15 @@ def _scene(
         storeys,
         storey_of_raster,
     )
+
+
+def _middle(
+    points: NDArray[np.float64], T_level_input: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Return where the level frame begins, (3,) m, input frame: as before in a session."""
+    if T_level_input is None:
+        return anchor(points)
+    return np.asarray(-T_level_input[:3, :3].T @ T_level_input[:3, 3] + 0.0)
 
 
 def _level(

@@ -1,0 +1,42 @@
+"""Stray points, far-off frames and wrong units are told before memory is taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from test.helpers import box_room
+from topometric_ros.extraction.errors import ExtractionError
+from topometric_ros.extraction.extent import anchor, without_strays
+
+_ROOM = box_room((0, 0, 0), (5, 4, 2.6), step=0.1)
+
+
+def test_an_ordinary_cloud_is_untouched() -> None:
+    points, warnings = without_strays(_ROOM)
+    assert points is _ROOM
+    assert warnings == ()
+    assert not anchor(_ROOM + (900, -900, 30)).any()
+
+
+@pytest.mark.parametrize("place", [(500, 300, 40), (0, 0, 1e5), (1e9, 0, 0), (1.7e308, -1e308, 0)])
+def test_a_stray_point_far_away_is_dropped_and_told(place: tuple[float, float, float]) -> None:
+    points, warnings = without_strays(np.concatenate([_ROOM, [place]]))
+    np.testing.assert_array_equal(points, _ROOM)
+    assert "1 of" in warnings[0]
+
+
+@pytest.mark.parametrize("scale", [100, 1000])
+def test_other_units_are_asked_about(scale: float) -> None:
+    with pytest.raises(ExtractionError, match=r"spans .* is it in metres"):
+        without_strays(box_room((0, 0, 0), (9, 9, 2.6), step=0.1) * scale)
+
+
+def test_two_buildings_ten_kilometres_apart_are_refused() -> None:
+    with pytest.raises(ExtractionError, match="10005 m x 10004 m"):
+        without_strays(np.concatenate([_ROOM, _ROOM + (10_000, 10_000, 0)]))
+
+
+def test_far_clouds_are_anchored_at_whole_kilometres() -> None:
+    place = anchor(_ROOM + (500_000, 5_000_400, 30))
+    np.testing.assert_array_equal(place, [500_000, 5_000_000, 0])

@@ -1,0 +1,124 @@
+"""Where a cloud lies and how far it reaches: stray points, far-off frames, wrong units.
+
+Rasters take memory by the area of the cloud and lattices reach 50 to 100 km from their origin, so
+both are looked at before anything else. Clouds of ordinary size near their origin stay untouched.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from topometric_ros.extraction.errors import ExtractionError
+
+_FAR = 1000.0
+"""A cloud whose middle lies farther from its origin is moved by whole multiples of this, m."""
+
+_NOWHERE = 1e8
+"""Coordinates beyond this, m, are no place on Earth."""
+
+_WIDE = 100_000.0
+"""Area in m² that no ordinary cloud covers; nor is one as high as its square root."""
+
+_WIDEST = 360_000.0
+"""Largest area in m² that is mapped: 600 m x 600 m; more would take gigabytes."""
+
+_TILE = 50.0
+"""Edge in m of the tiles in which stray points are told: what adjoins no tile lies apart."""
+
+_MOST_TILES = 20_000
+_STRAY_SHARE = 0.01
+
+
+def without_strays(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Drop the few points that lie far from all others, where they make a cloud too wide.
+
+    Reflections and misread ranges put points hundreds of metres outside a building; the rasters
+    would have to reach there. Only clouds over 100,000 m² are looked at.
+
+    Parameters
+    ----------
+    points : (P, 3) float64, m, finite, P > 0
+
+    Returns
+    -------
+    points : those that stay, in their order
+    warnings : how many were dropped, if any
+
+    Raises
+    ------
+    ExtractionError
+        What stays is wider than 360,000 m², as clouds that are not in metres are.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    total = len(points)
+    if max(np.abs(low).max(), np.abs(high).max()) > _NOWHERE:
+        points = _few_dropped(points, np.asarray((np.abs(points) <= _NOWHERE).all(axis=1)))
+        low, high = points.min(axis=0), points.max(axis=0)
+    if _is_wide(low, high):
+        points = _few_dropped(points, _largest_cluster(points))
+        low, high = points.min(axis=0), points.max(axis=0)
+    x, y, z = high - low
+    if x * y > _WIDEST:
+        raise ExtractionError(
+            f"the cloud spans {x:.0f} m x {y:.0f} m x {z:.0f} m, at most {_WIDEST:.0f} m² can be "
+            "mapped: is it in metres, without points far outside the building?"
+        )
+    if len(points) == total:
+        return points, ()
+    dropped = total - len(points)
+    return points, (f"{dropped} of {total} points lie far from all others and were dropped",)
+
+
+def anchor(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the place near a cloud that its level frame is to have its origin at: (3,) float64, m.
+
+    The frame's own origin, unless the middle of the cloud lies more than a kilometre from it, as in
+    projected coordinates (UTM): then the nearest multiple of a kilometre in each axis. Lattices,
+    rasters and single precision all do with a few kilometres.
+    """
+    if max(np.abs(points.min(axis=0)).max(), np.abs(points.max(axis=0)).max()) <= _FAR:
+        return np.zeros(3)
+    middle = np.median(points, axis=0)
+    if np.abs(middle).max() <= _FAR:
+        return np.zeros(3)
+    # Adding zero turns -0.0 into 0.0.
+    return np.asarray(np.round(middle / _FAR) * _FAR + 0.0)
+
+
+def moved_warnings(middle: NDArray[np.float64]) -> tuple[str, ...]:
+    """Return what to tell of a map whose level frame begins at `middle` (3,), m."""
+    if not middle.any():
+        return ()
+    x, y, z = middle
+    return (
+        f"the cloud lies far from its frame's origin, so the map's level frame begins at "
+        f"({x:.0f}, {y:.0f}, {z:.0f}) m; T_level_input holds this",
+    )
+
+
+def _is_wide(low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
+    x, y, z = high - low
+    return bool(x * y > _WIDE or z > np.sqrt(_WIDE))
+
+
+def _few_dropped(points: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the points kept, or all of them where those to be dropped are not few."""
+    dropped = len(kept) - int(np.count_nonzero(kept))
+    return points[kept] if 0 < dropped <= max(1.0, _STRAY_SHARE * len(kept)) else points
+
+
+def _largest_cluster(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which points lie in the cluster of adjoining tiles that holds the most: (P,) bool."""
+    tile = np.floor((points - points[0]) / _TILE).astype(np.int64)
+    tiles, of_point, counts = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
+    if len(tiles) > _MOST_TILES:
+        return np.ones(len(points), bool)
+    pairs = cKDTree(tiles).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    joined = coo_array((np.ones(len(pairs)), pairs.T), (len(tiles), len(tiles)))
+    _, cluster = connected_components(joined, directed=False)
+    largest = int(np.argmax(np.bincount(cluster, weights=counts)))
+    return np.asarray(cluster[of_point.reshape(-1)] == largest)
