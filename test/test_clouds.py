@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import os
+import struct
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -206,3 +210,77 @@ def write_any(path: Path, points: NDArray[np.float64]) -> None:
         np.savetxt(path, points)
     else:
         (np.save if path.suffix == ".npy" else np.savez)(path, points)
+
+
+def test_a_compressed_pcd_is_read(tmp_path: Path) -> None:
+    o3d = pytest.importorskip("open3d", exc_type=ImportError)
+    repeated = np.tile(POINTS, (50, 1))  # So that there is something to copy.
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(repeated))
+    o3d.io.write_point_cloud(tmp_path / "a.pcd", cloud, compressed=True)
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.pcd").points, repeated, atol=1e-6)
+    data = (tmp_path / "a.pcd").read_bytes()
+    start = data.index(b"compressed\n") + 11
+    for packed in (data[: start + 4] + b"\xff" * 4 + data[start + 8 :], data[: start + 8] + data):
+        (tmp_path / "b.pcd").write_bytes(packed)
+        with pytest.raises(CloudError, match="compressed PCD data"):
+            read_cloud(tmp_path / "b.pcd")
+
+
+def test_a_pcd_with_fields_of_several_numbers_is_read(tmp_path: Path) -> None:
+    header = "FIELDS n x y z\nSIZE 4 8 8 8\nTYPE F F F F\nCOUNT 3 1 1 1\nWIDTH 10\nHEIGHT 2\n"
+    table = np.zeros(20, [("n", "<f4", 3), ("p", "<f8", 3)])
+    table["p"] = POINTS
+    (tmp_path / "a.pcd").write_bytes(header.encode() + b"DATA binary\n" + table.tobytes())
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").points, POINTS)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x y z r g b\n1 2 3\n4 5 6\n",
+        "//X Y Z\n1 2 3\n4 5 6\n",
+        "2\n1 2 3\n4 5 6\n",
+        "\ufeff1,2,3\r\n4,5,6\r\n",
+        "1,0;2,0;3,0\n4,0;5,0;6,0\n",
+    ],
+)
+def test_text_files_of_many_programs_are_read(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.xyz").write_text(text, encoding="utf-8")
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.xyz").points, [[1, 2, 3], [4, 5, 6]])
+
+
+def test_an_array_with_named_fields_is_read_and_a_transposed_one_is_told(tmp_path: Path) -> None:
+    table = np.zeros(20, [("i", "u1"), ("x", "f4"), ("y", "f8"), ("z", "f8")])
+    for axis, name in enumerate("xyz"):
+        table[name] = POINTS[:, axis]
+    np.save(tmp_path / "a.npy", table)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").points, POINTS)
+    np.save(tmp_path / "b.npy", np.zeros((3, 500)))
+    with pytest.raises(CloudError, match=r"\(N, 3\), got float64 \(3, 500\)"):
+        read_cloud(tmp_path / "b.npy")
+
+
+def test_counts_that_a_file_cannot_hold_take_no_memory(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(
+        ply(POINTS, "ascii").replace(b"vertex 20", b"vertex 99999999999")
+    )
+    head = io.BytesIO()
+    shape = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)}
+    np.lib.format.write_array_header_1_0(head, shape)
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
+        archive.writestr("points.npy", head.getvalue() + bytes(100))
+    with zipfile.ZipFile(tmp_path / "c.npz", "w") as archive:
+        archive.writestr("readme.txt", "no array")
+    las = bytearray(400)
+    las[:4] = b"LASF"
+    las[96:107] = struct.pack("<IIBH", 227, 0xFFFFFFFF, 3, 34)
+    (tmp_path / "d.las").write_bytes(las)
+    for name in ("a.ply", "b.npz", "c.npz", "d.las"):
+        with pytest.raises(CloudError, match=r"ends early|expected an array|not a complete"):
+            read_cloud(tmp_path / name)
+
+
+def test_what_is_no_file_on_disk_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.ply")
+    with pytest.raises(CloudError, match="expected a file on disk"):
+        read_cloud(tmp_path / "a.ply")

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import logging
+import math
 import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.io.las import read_las_points
 from topometric_ros.io.pcd import read_pcd_points
 from topometric_ros.io.ply import read_ply_points
 from topometric_ros.io.pointcloud2 import CloudError
+from topometric_ros.io.text import read_text_points
 
 __all__ = ["CLOUD_SUFFIXES", "Cloud", "CloudError", "finite_cloud", "read_cloud", "up_rotation"]
 
 logger = logging.getLogger(__name__)
+
+_MOST_COLUMNS = 100
+"""An array with more is one whose points are its columns."""
 
 _UP_ROTATIONS = {
     "x": ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
@@ -79,6 +86,8 @@ def read_cloud(path: Path | str, up: str = "z") -> Cloud:
             f"{path}: expected a cloud file ({' '.join(CLOUD_SUFFIXES)}), "
             f"got {'a directory' if path.is_dir() else repr(path.suffix)}"
         )
+    if not path.is_file():
+        raise CloudError(f"{path}: expected a file on disk")
     try:
         points = reader(path)
     except OSError as error:
@@ -110,85 +119,68 @@ def finite_cloud(
     return Cloud(kept, dropped, warnings, T_up_input)
 
 
-def _read_text(path: Path) -> NDArray[np.float64]:
-    """Read x, y and z from the first three columns of a text file, separated by space or comma."""
-    with path.open("rb") as file:
-        lines = (line.replace(b",", b" ").replace(b";", b" ") for line in file)
-        rows = [line for line in lines if line.strip() and not line.lstrip().startswith(b"#")]
-    if not rows:
-        return np.empty((0, 3))
-    try:
-        return np.loadtxt(rows, usecols=(0, 1, 2), ndmin=2, comments=None)
-    except ValueError as error:
-        line = " ".join(str(error).split())
-        raise CloudError(f"{path}: expected three numbers a line: {line}") from error
-
-
 def _read_numpy(path: Path) -> NDArray[np.float64]:
-    """Read an (N, 3 or more) array; of an archive, the entry `points`, else its only one."""
+    """Read an (N, 3 or more) array or one with the fields x, y and z.
+
+    Of an archive the entry `points` is read, else its only one.
+    """
     try:
         # Mapped, so that a file shorter than its header says is refused before memory is taken.
         loaded = np.load(path, mmap_mode="r", allow_pickle=False)
         if isinstance(loaded, np.lib.npyio.NpzFile):
             with loaded as archive:
-                name = "points" if "points" in archive.files else None
-                if name is None and len(archive.files) == 1:
-                    name = archive.files[0]
-                if name is None:
-                    found = ", ".join(archive.files) or "none"
-                    raise CloudError(f"{path}: expected an array named points, got {found}")
-                array = archive[name]
+                array = _entry(path, archive)
         else:
-            array = loaded
+            array = np.asarray(loaded)
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         line = " ".join(str(error).split())
         raise CloudError(f"{path}: not a complete numpy file: {line}") from error
-    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
+    if array.ndim == 1 and {"x", "y", "z"} <= set(array.dtype.names or ()):
+        array = np.column_stack([array[axis] for axis in "xyz"])
+    columns = array.shape[1] if array.ndim == 2 else 0
+    if not 3 <= columns <= _MOST_COLUMNS or array.dtype.kind not in "fiu":
         raise CloudError(
             f"{path}: expected numbers of shape (N, 3), got {array.dtype} {array.shape}"
         )
     return array[:, :3].astype(np.float64)
 
 
-def _read_las(path: Path) -> NDArray[np.float64]:
-    try:
-        import laspy
-    except ImportError as error:
-        raise CloudError(
-            f'{path}: reading LAS files needs an extra: pip install "laspy[lazrs]"'
-        ) from error
-    failures: tuple[type[BaseException], ...] = (laspy.errors.LaspyException, ValueError, EOFError)
-    try:
-        import lazrs
-
-        failures += (lazrs.LazrsError,)
-    except ImportError:
-        if path.suffix.lower() == ".laz":
-            raise CloudError(
-                f'{path}: reading LAZ files needs an extra: pip install "laspy[lazrs]"'
-            ) from None
-    try:
-        with laspy.open(path) as file:
-            expected = file.header.point_count
-            las = file.read()
-    except failures as error:
-        line = " ".join(str(error).split())
-        raise CloudError(f"{path}: not a complete LAS file: {line}") from error
-    if len(las.points) != expected:
-        raise CloudError(
-            f"{path}: the LAS file ends early: expected {expected} points, got {len(las.points)}"
+def _entry(path: Path, archive: Any) -> NDArray[Any]:
+    """Return the array of a .npz; raises CloudError, and ValueError for a damaged one."""
+    name = "points" if "points" in archive.files else None
+    if name is None and len(archive.files) == 1:
+        name = archive.files[0]
+    if name is None:
+        found = ", ".join(archive.files) or "none"
+        raise CloudError(f"{path}: expected an array named points, got {found}")
+    packed = archive.zip
+    entry = next((e for e in packed.infolist() if e.filename in (f"{name}.npy", name)), None)
+    if entry is None or not entry.filename.endswith(".npy"):
+        raise CloudError(f"{path}: expected an array named points, got the file {name}")
+    with packed.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
         )
-    return np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1)
+        shape, _, dtype = read_header(file)
+    size = math.prod(shape) * dtype.itemsize
+    if size > entry.file_size:
+        raise CloudError(
+            f"{path}: {name} ends early: expected {size} bytes for {shape}, got {entry.file_size}"
+        )
+    return np.asarray(archive[name])
 
 
 _READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {
     ".ply": read_ply_points,
     ".pcd": read_pcd_points,
-    ".xyz": _read_text,
-    ".txt": _read_text,
+    ".xyz": read_text_points,
+    ".txt": read_text_points,
     ".npy": _read_numpy,
     ".npz": _read_numpy,
-    ".las": _read_las,
-    ".laz": _read_las,
+    ".las": read_las_points,
+    ".laz": read_las_points,
 }
 CLOUD_SUFFIXES = tuple(_READERS)

@@ -7,7 +7,6 @@ file, at which Open3D 0.20 stops and returns uninitialised memory. Other PLYs go
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.io.pointcloud2 import CloudError
+from topometric_ros.io.text import table_of_text
 
 _TYPES = {
     "char": "i1",
@@ -150,25 +150,16 @@ def _read_binary(path: Path, header: PlyHeader) -> NDArray[np.float64]:
 def _read_ascii(path: Path, header: PlyHeader, columns: list[int]) -> NDArray[np.float64]:
     with path.open("rb") as file:
         file.seek(header.size)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # No rows: counted below.
-                points = np.loadtxt(
-                    file, usecols=columns, max_rows=header.vertices, ndmin=2, comments=None
-                )
-        except ValueError as error:
-            raise CloudError(f"{path}: the PLY file's vertices cannot be read: {error}") from error
-    if header.vertices == 0:
-        return np.empty((0, 3))
-    if len(points) < header.vertices:
-        raise CloudError(
-            f"{path}: the PLY file ends early: expected {header.vertices} vertices, "
-            f"got {len(points)}"
-        )
-    return points
+        return table_of_text(path, file, columns, header.vertices, "PLY file", "vertices")
 
 
 def _read_with_open3d(path: Path, header: PlyHeader) -> NDArray[np.float64]:
+    size = path.stat().st_size - header.size
+    if size < header.vertices * len(header.properties):
+        raise CloudError(
+            f"{path}: the PLY file ends early: expected {header.vertices} vertices of "
+            f"{len(header.properties)} properties, got {size} bytes"
+        )
     points = open3d_points(path)
     if len(points) != header.vertices:
         raise CloudError(

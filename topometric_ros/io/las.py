@@ -1,0 +1,80 @@
+"""LAS and LAZ files, read by laspy after their header was held against the file's size."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.io.pointcloud2 import CloudError
+
+_SHORTEST_HEADER = 227
+_RECORD_HEADER = 54
+_SHORTEST_POINT = 20
+
+# laspy logs the errors that it raises too; they are told once, as errors.
+logging.getLogger("laspy").setLevel(logging.CRITICAL)
+
+
+def read_las_points(path: Path) -> NDArray[np.float64]:
+    """Return the points of a LAS or LAZ file: (N, 3) float64, scaled.
+
+    Raises
+    ------
+    CloudError
+        The file is damaged, or the package that reads it is not installed.
+    """
+    try:
+        import laspy
+    except ImportError as error:
+        raise CloudError(
+            f'{path}: reading LAS files needs an extra: pip install "laspy[lazrs]"'
+        ) from error
+    _check_header(path)
+    failures: tuple[type[BaseException], ...] = (laspy.errors.LaspyException, ValueError, EOFError)
+    try:
+        import lazrs
+
+        failures += (lazrs.LazrsError,)
+    except ImportError:
+        if path.suffix.lower() == ".laz":
+            raise CloudError(
+                f'{path}: reading LAZ files needs an extra: pip install "laspy[lazrs]"'
+            ) from None
+    try:
+        with laspy.open(path) as file:
+            header = file.header
+            expected = header.point_count
+            size = expected * header.point_format.size
+            if not header.are_points_compressed and size > path.stat().st_size:
+                raise CloudError(
+                    f"{path}: the LAS file ends early: expected {size} bytes for {expected} "
+                    f"points, got {path.stat().st_size}"
+                )
+            las = file.read()
+    except failures as error:
+        line = " ".join(str(error).split())
+        raise CloudError(f"{path}: not a complete LAS file: {line}") from error
+    if len(las.points) != expected:
+        raise CloudError(
+            f"{path}: the LAS file ends early: expected {expected} points, got {len(las.points)}"
+        )
+    return np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1)
+
+
+def _check_header(path: Path) -> None:
+    """Refuse a header whose numbers cannot be: laspy would loop over them for ever."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_SHORTEST_HEADER)
+    if len(header) < _SHORTEST_HEADER or header[:4] != b"LASF":
+        raise CloudError(f"{path}: not a complete LAS file: {size} bytes, signature {header[:4]!r}")
+    data, records, _, length = struct.unpack_from("<IIBH", header, 96)
+    if data > size or records * _RECORD_HEADER > data or length < _SHORTEST_POINT:
+        raise CloudError(
+            f"{path}: not a complete LAS file: {records} records before byte {data} of {size}, "
+            f"points of {length} bytes"
+        )
