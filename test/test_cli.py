@@ -202,6 +202,16 @@ def test_wrong_settings_end_with_status_2(
     with pytest.raises(SystemExit) as caught:
         main(["extract", str(clouds / "a.npy")])
     assert caught.value.code == 2
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        "topometric: error: the following arguments are required: -o/--output "
+        "(see topometric extract --help)"
+    ]
+    line = fails(["extract", f"my robot={clouds / 'a.npy'}", "-o", tmp_path], capsys)
+    assert "agent 'my robot': expected letters" in line
+    (tmp_path / "loop.yaml").write_text("extraction: &a {level: *a}")
+    line = fails([*base, "--config", tmp_path / "loop.yaml"], capsys)
+    assert "refers to what holds it" in line
 
 
 def test_run_ends_its_processes_with_a_signal_and_says_which_one_ended(tmp_path: Path) -> None:

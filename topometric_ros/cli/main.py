@@ -10,6 +10,7 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 from topometric_ros.cli import benchmark, evaluate, extract, merge, replay, run, simulate, view
 from topometric_ros.errors import TopometricError
@@ -33,8 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
+        where = f"{str(error.filename)[:200]}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}")
+    except MemoryError as error:
+        return _fail(f"not enough memory: {error}")
     except KeyboardInterrupt:
         _fail("interrupted")
         return INTERRUPTED
@@ -42,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="topometric",
         description="Rooms and passages from point clouds, and one map from those of many agents.",
     )
@@ -50,6 +53,14 @@ def parser() -> argparse.ArgumentParser:
     for module in _COMMANDS:
         module.add_parser(commands)
     return top
+
+
+class _Parser(argparse.ArgumentParser):
+    """Tells a wrong argument as every other error: in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with the status of bad input."""
+        raise SystemExit(_fail(f"{message} (see {self.prog} --help)"))
 
 
 def _log(verbose: bool) -> None:

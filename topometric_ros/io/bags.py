@@ -7,10 +7,12 @@ its types need not be known.
 from __future__ import annotations
 
 import heapq
+import importlib
 import logging
 import operator
 import sqlite3
 import struct
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -33,8 +35,13 @@ logger = logging.getLogger(__name__)
 BAG_SUFFIXES = (".mcap", ".db3")
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _DECODED = (CLOUD_TYPE, TRANSFORM_TYPE, MAP_TYPE)
+# What rosbags itself decompresses with.
+_zstd = importlib.import_module(
+    "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+)
 _FAILURES = (
     *(ReaderError, SerdeError, sqlite3.Error, OSError, EOFError, struct.error),
+    *(_zstd.ZstdError, RuntimeError),
     *(ValueError, KeyError, IndexError, TypeError, AssertionError, OverflowError),
 )
 """What rosbags raises on damaged input, besides its own errors: it trusts sizes and offsets."""

@@ -89,7 +89,10 @@ def read_agents_file(path: Path | str) -> AgentsFile:
     except yaml.YAMLError as error:
         line = " ".join(str(error).split())
         raise AgentsFileError(f"agents file {path} is not YAML: {line}") from error
-    return parse_agents(tree, str(path))
+    try:
+        return parse_agents(tree, str(path))
+    except RecursionError as error:
+        raise AgentsFileError(f"{path}: an alias in it refers to what holds it") from error
 
 
 def parse_agents(tree: Any, where: str = "agents file") -> AgentsFile:

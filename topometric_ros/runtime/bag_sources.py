@@ -58,7 +58,7 @@ class BagSource:
 
 
 def parse_source(text: str) -> Source:
-    """Read one word of the command line.
+    """Read one word of the command line; raises SourceError for an impossible agent's name.
 
     Examples
     --------
@@ -66,6 +66,11 @@ def parse_source(text: str) -> Source:
     Source(path=PosixPath('floor.ply'), agent='lift', topic=None)
     """
     named = None if Path(text).exists() else _NAMED.match(text)
+    agent, _, source = text.partition("=")
+    if named is None and not Path(text).exists() and source and Path(source).exists():
+        raise SourceError(
+            f"agent {agent!r}: expected letters, digits, '_', '-' and '.', the last two not first"
+        )
     path, topic = split_source(named.group(2) if named else text)
     return Source(path, named.group(1) if named else None, topic)
 

@@ -65,6 +65,8 @@ def load_config(path_or_preset: Path | str = "default") -> ToolConfig:
         return parse_config(tree)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
+    except RecursionError as error:
+        raise ConfigurationError(f"{path}: an alias in it refers to what holds it") from error
 
 
 def parse_config(tree: Any) -> ToolConfig:

@@ -146,7 +146,7 @@ def bag_input(source: BagSource, config: ToolConfig, options: InputOptions) -> B
 
 def session_id(seed: int, agent: str, count: int) -> str:
     """Return a session's id that depends on nothing but these: 12 hexadecimal digits."""
-    return hashlib.sha256(f"{seed}/{agent}/{count}".encode()).hexdigest()[:12]
+    return hashlib.sha256(f"{seed}/{agent}/{count}".encode("utf-8", "replace")).hexdigest()[:12]
 
 
 def _named(source: Source) -> Source:
