@@ -155,6 +155,9 @@ class Walkable:
     def _place_at(self, link: TrueLink, room: int) -> int | None:
         """Return the place of a room nearest to a link in the plan, None where it is far."""
         own = np.flatnonzero(self.room == room)
+        if len(own) == 0 and link.kind == "stair":
+            # A stairwell's upper end has no floor of its own: the landing beside it has.
+            own = np.flatnonzero(self._key >> 40 == self.building.rooms[room].storey)
         if len(own) == 0:
             return None
         away = np.linalg.norm(self.places[own, :2] - link.position[:2], axis=1)
