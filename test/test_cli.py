@@ -19,6 +19,7 @@ from test.helpers_bags import flat, write_map_bag, write_scan_bag
 from topometric_ros.cli.main import main
 from topometric_ros.io.map_files import load_map
 from topometric_ros.io.ply import read_ply_points
+from topometric_ros.runtime.bag_sources import readable
 
 
 @pytest.fixture(scope="module")
@@ -212,6 +213,10 @@ def test_wrong_settings_end_with_status_2(
     (tmp_path / "loop.yaml").write_text("extraction: &a {level: *a}")
     line = fails([*base, "--config", tmp_path / "loop.yaml"], capsys)
     assert "refers to what holds it" in line
+
+
+def test_a_file_whose_name_is_no_utf8_gets_a_name_that_can_be_written() -> None:
+    assert readable("caf\udce9") == "caf?"
 
 
 def test_run_ends_its_processes_with_a_signal_and_says_which_one_ended(tmp_path: Path) -> None:

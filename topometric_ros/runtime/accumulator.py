@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.extraction.extent import anchor
 from topometric_ros.voxels.grid import lattice_coordinates
 from topometric_ros.voxels.morton import morton_encode
 
@@ -15,6 +16,8 @@ _WAITING = 1_000_000
 class PointAccumulator:
     """Means of the points in each cell of a lattice anchored at the frame's origin.
 
+    Where the first points lie far from it, the lattice is anchored near them instead.
+
     Parameters
     ----------
     cell : edge of a cell, m
@@ -22,6 +25,7 @@ class PointAccumulator:
 
     def __init__(self, cell: float) -> None:
         self.cell = cell
+        self._anchor: NDArray[np.float64] | None = None
         self._codes = np.empty(0, np.uint64)
         self._sums = np.empty((0, 4))
         self._waiting: list[NDArray[np.float64]] = []
@@ -44,7 +48,9 @@ class PointAccumulator:
             return
         points = np.concatenate(self._waiting)
         self._waiting = []
-        codes = morton_encode(lattice_coordinates(points, self.cell, np.zeros(3)))
+        if self._anchor is None:
+            self._anchor = anchor(points)
+        codes = morton_encode(lattice_coordinates(points, self.cell, self._anchor))
         weighted = np.column_stack([points, np.ones(len(points))])
         self._codes, inverse = np.unique(np.concatenate([self._codes, codes]), return_inverse=True)
         rows = np.concatenate([self._sums, weighted])

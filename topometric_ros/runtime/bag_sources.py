@@ -38,7 +38,7 @@ class Source:
     @property
     def text(self) -> str:
         """The source as `merge.json` records it."""
-        return f"{self.path}:{self.topic}" if self.topic else str(self.path)
+        return readable(f"{self.path}:{self.topic}" if self.topic else str(self.path))
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,12 @@ class BagSource:
     @property
     def text(self) -> str:
         """The source as `merge.json` records it."""
-        return f"{self.path}:{self.topic}"
+        return readable(f"{self.path}:{self.topic}")
+
+
+def readable(name: str) -> str:
+    """Return a file's name as text that can be written: what is not UTF-8 in it becomes `?`."""
+    return name.encode("utf-8", "replace").decode()
 
 
 def parse_source(text: str) -> Source:
@@ -178,4 +183,4 @@ def _bag_source(path: Path, info: TopicInfo, topics: dict[str, TopicInfo]) -> Ba
     transforms = tuple(
         name for name in names if name in topics and topics[name].type == TRANSFORM_TYPE
     )
-    return BagSource(namespace or path.stem, path, info.name, info.type, transforms)
+    return BagSource(namespace or readable(path.stem), path, info.name, info.type, transforms)

@@ -19,6 +19,7 @@ from topometric_ros.runtime.bag_sources import (
     SourceError,
     one_bag_source,
     parse_source,
+    readable,
     require_distinct,
 )
 from topometric_ros.runtime.config import ToolConfig
@@ -95,7 +96,7 @@ def load_source(
         raise SourceError(f"{source.text}: no such file")
     progress(f"reading {source.path}")
     cloud = read_cloud(source.path, options.up)
-    agent = source.agent or source.path.stem
+    agent = source.agent or readable(source.path.stem)
     progress(f"extracting {agent} ({len(cloud.points):,} points)")
     result = extract_map(
         cloud.points,
@@ -157,4 +158,4 @@ def _named(source: Source) -> Source:
         return dataclasses.replace(source, agent=load_map(source.path).agent or source.path.stem)
     if is_bag(source.path):
         return dataclasses.replace(source, agent=one_bag_source(source).agent)
-    return dataclasses.replace(source, agent=source.path.stem)
+    return dataclasses.replace(source, agent=readable(source.path.stem))
