@@ -33,7 +33,7 @@ _LEADERS, _FOLLOWERS = 6, 10
 _NEAR_ENOUGH = 0.02
 """Pairs whose foretold overlap is no farther from the wanted one are equal in that; a tenth of
 the wanted overlap where it is small."""
-_LONG = 0.05
+_LONG = 0.08
 """What a pair gains over another by seeing as much as the longest walk: so much overlap amiss."""
 
 

@@ -60,8 +60,9 @@ class Walkable:
         self, building: LabelledBuilding, world: World, config: WalkableConfig | None = None
     ) -> None:
         self.building = building
-        self._config = config or WalkableConfig()
-        self.places, self.room, self._key, self._clear = _places(building, world, self._config)
+        self._world = world
+        config = config or WalkableConfig()
+        self.places, self.room, self._key, self._clear = _places(building, world, config)
         self._graph = self._joined()
         self.component: NDArray[np.int32] = connected_components(self._graph, directed=False)[1]
         self.anchors = self._find_anchors()
@@ -147,10 +148,17 @@ class Walkable:
     def _link_edges(self) -> list[tuple[int, int]]:
         edges = []
         for link in self.building.links:
-            ends = [self._place_at(link, room) for room in link.rooms]
-            if ends[0] is not None and ends[1] is not None:
-                edges.append((ends[0], ends[1]))
+            a, b = (self._place_at(link, room) for room in link.rooms)
+            if a is not None and b is not None and (link.kind == "stair" or self._sees(a, b)):
+                edges.append((a, b))
         return edges
+
+    def _sees(self, a: int, b: int) -> bool:
+        """True where no surface is between two places: links of clouds are but proposals."""
+        start, end = (self.places[place] + [0.0, 0.0, _LEVELS[-1]] for place in (a, b))
+        length = float(np.linalg.norm(end - start))
+        ray = (end - start) / max(length, 1e-9)
+        return bool(np.isnan(self._world.cast(start[None], ray[None], length)).all())
 
     def _place_at(self, link: TrueLink, room: int) -> int | None:
         """Return the place of a room nearest to a link in the plan, None where it is far."""
