@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from test.helpers import moved, yaw_transform
+from test.helpers import box_room, moved, yaw_transform
 from test.helpers_matching import (
     A_ROOMS,
     B_ROOMS,
@@ -22,6 +22,8 @@ from test.helpers_matching import (
 )
 from topometric_ros.alignment import RoomMatch
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.extraction.config import extraction_preset
+from topometric_ros.extraction.pipeline import extract
 from topometric_ros.fusion.consensus import ConsensusConfig, consensus, inliers, mean_pose
 from topometric_ros.fusion.poses import inverse
 from topometric_ros.fusion.registration import RegistrationConfig, RegistrationError, register
@@ -177,3 +179,16 @@ def test_matched_rooms_agree_on_the_transform_and_a_wrong_match_is_dropped() -> 
     with pytest.raises(RegistrationError, match="none of 1"):
         consensus(a, b, surface_of(a), surface_of(b), T_A_B,
                   [dataclasses.replace(wrong)], ConsensusConfig())  # fmt: skip
+
+
+def test_one_face_of_a_wall_is_not_pulled_onto_the_other() -> None:
+    # Each agent walked one of two rooms and looked through the door into a strip of the other.
+    left = box_room((0.0, 0.0, 0.0), (4.0, 3.0, 2.6), doors=(("x+", 0.8),))
+    right = box_room((4.16, 0.0, 0.0), (5.0, 3.0, 2.6), doors=(("x-", 0.8),))
+    config = extraction_preset("default")
+    a = extract(np.concatenate([left, right[right[:, 1] < 1.4]]), config).map
+    b = extract(np.concatenate([right, left[left[:, 1] < 1.4]]), config).map
+    result = register(
+        surface_of(b), surface_of(a), yaw_transform(0.0, (0.06, 0.0, 0.0)), RegistrationConfig()
+    )
+    assert np.linalg.norm(result.T_target_source[:3, 3]) < 0.02

@@ -43,6 +43,12 @@ class RegistrationConfig:
     normals_cosine: float = parameter(
         0.6, "Smallest cosine between the normals of a pair.", minimum=0.0, maximum=1.0
     )
+    unsided_weight: float = parameter(
+        0.1,
+        "Weight of a pair of which it is not known that both points were seen from one side.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     smallest_pairs: int = parameter(50, "Fewer pairs than this register nothing.", minimum=10)
     gravity_deviation: float = parameter(
         0.3,
@@ -176,10 +182,13 @@ def _pairs(
     normals = target.normals[nearest]
     residuals = np.sum(normals * (moved[rows] - target.points[nearest]), axis=1)
     agree = np.sum(normals * (source.normals[rows] @ T[:3, :3].T), axis=1)
-    agree = np.where(source.sided[rows] & target.sided[nearest], agree, np.abs(agree))
+    sided = source.sided[rows] & target.sided[nearest]
+    agree = np.where(sided, agree, np.abs(agree))
     keep = (np.abs(residuals) < gate) & (agree >= config.normals_cosine)
     residuals = residuals[keep]
     weights = (1.0 - (residuals / gate) ** 2) ** 2  # Tukey's biweight
+    # Which side of a wall was seen may be unknown: it must not pull one face onto the other.
+    weights[~sided[keep]] *= config.unsided_weight
     return _Pairs(moved[rows[keep]], normals[keep], residuals, weights)
 
 

@@ -13,8 +13,16 @@ from topometric_ros.topometric_map import Storey, TopometricMap
 NEIGHBOURS = 10
 """Voxels that a normal is fitted through: about 0.35 m of wall at 0.1 m voxels."""
 
-_ASIDE = (0.2, 0.3, 0.4)
+_ASIDE = (0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
 """How far from a wall, in metres, its free side shows seen floor."""
+
+_NEARER = 0.1
+"""By how much (m) the floor on one side of a wall must be nearer than on the other to be its own.
+
+The face of a wall 0.16 m thick has floor beyond the wall too where both rooms were seen."""
+
+_WALL_TOP = 2.2
+"""Height (m) up to which walls are told apart where no ceiling was seen."""
 
 _SLAB = 0.15
 """Points this near to a storey's floor or ceiling (m) are seen from that storey."""
@@ -66,13 +74,15 @@ def _side_walls(
 ) -> None:
     """Turn the normals of one storey's walls to their free side, in place."""
     height = points[:, 2] - storey.floor_z
-    rows = np.flatnonzero((height > 0.2) & (height < 2.2) & (np.abs(normals[:, 2]) < 0.35))
-    ahead, behind = np.zeros(len(rows), bool), np.zeros(len(rows), bool)
-    for distance in _ASIDE:
-        ahead |= _seen_free(storey, points[rows] + distance * normals[rows])
-        behind |= _seen_free(storey, points[rows] - distance * normals[rows])
-    normals[rows[behind & ~ahead]] *= -1.0
-    sided[rows[ahead != behind]] = True
+    top = _WALL_TOP if storey.ceiling_z is None else storey.ceiling_z - storey.floor_z - _SLAB
+    rows = np.flatnonzero((height > 0.2) & (height < top) & (np.abs(normals[:, 2]) < 0.35))
+    ahead, behind = np.full((2, len(rows)), np.inf)
+    for distance in reversed(_ASIDE):
+        ahead[_seen_free(storey, points[rows] + distance * normals[rows])] = distance
+        behind[_seen_free(storey, points[rows] - distance * normals[rows])] = distance
+    away = behind + _NEARER - 1e-9 < ahead
+    normals[rows[away]] *= -1.0
+    sided[rows[away | (ahead + _NEARER - 1e-9 < behind)]] = True
 
 
 def _side_slabs(
