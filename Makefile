@@ -5,7 +5,7 @@ VENV ?= .venv
 BAG ?= bags/demo
 OUT ?= out/$(notdir $(BAG:%/=%))
 CLOUD ?=
-PAIRS ?= ../shared/data/pairs
+PAIRS ?=
 
 # The environment is complete in itself: a sourced ROS or another environment must not leak in.
 unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -25,8 +25,8 @@ help:
 	@echo 'make check      set up, check format, lint, types, the colcon build and the README'
 	@echo 'make run-bag    replay your own bag: make run-bag BAG=path/to/bag [OUT=out/name]'
 	@echo 'make bench      CPU seconds by stage: make bench [CLOUD=path/to/cloud.ply]'
-	@echo 'make benchmark  this package and other methods on some pairs with known truth: [PAIRS=folder]'
-	@echo '                make benchmark-full: on all of them; both go on where they stopped'
+	@echo 'make benchmark  this package and other methods on simulated pairs, or on those of PAIRS=folder;'
+	@echo '                make benchmark-full: on many more; both go on where they stopped'
 	@echo 'make setup      only set up: Debian packages, $(VENV), wheels, messages'
 	@echo 'make clean      remove build products and outputs; make distclean also $(VENV)'
 	@echo 'PYTHON=/path/to/python3 picks the interpreter (3.11 or newer)'
@@ -69,13 +69,16 @@ run-bag: setup
 bench: setup
 	$(VENV)/bin/python scripts/benchmark_extraction.py $(CLOUD)
 
+benchmark_extra = $(VENV)/bin/pip install --quiet "kiss-matcher>=1.0; python_version < '3.13'"
 benchmark: setup
-	$(VENV)/bin/pip install --quiet "kiss-matcher>=1.0; python_version < '3.13'"
-	$(VENV)/bin/topometric benchmark $(PAIRS) -o out/benchmark-short --limit 6 --timeout 120
+	@$(benchmark_extra)
+	$(if $(PAIRS),,scripts/simulate_pairs.sh $(VENV) out/pairs-short 1 office:seed=3,rooms=14)
+	$(VENV)/bin/topometric benchmark $(or $(PAIRS),out/pairs-short) -o out/benchmark-short --timeout 120
 
 benchmark-full: setup
-	$(VENV)/bin/pip install --quiet "kiss-matcher>=1.0; python_version < '3.13'"
-	$(VENV)/bin/topometric benchmark $(PAIRS) -o out/benchmark
+	@$(benchmark_extra)
+	$(if $(PAIRS),,scripts/simulate_pairs.sh $(VENV) out/pairs 10 office:seed=3,rooms=14 home:seed=3 hospital:seed=3)
+	$(VENV)/bin/topometric benchmark $(or $(PAIRS),out/pairs) -o out/benchmark
 
 clean:
 	rm -rf build install log out dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
