@@ -182,12 +182,14 @@ def test_matched_rooms_agree_on_the_transform_and_a_wrong_match_is_dropped() -> 
 
 
 def test_one_face_of_a_wall_is_not_pulled_onto_the_other() -> None:
-    # Each agent walked one of two rooms and looked through the door into a strip of the other.
-    left = box_room((0.0, 0.0, 0.0), (4.0, 3.0, 2.6), doors=(("x+", 0.8),))
-    right = box_room((4.16, 0.0, 0.0), (5.0, 3.0, 2.6), doors=(("x-", 0.8),))
+    # Each agent walked one of two rooms and looked through the door into a corner of the other.
+    left = box_room((0.0, 0.0, 0.0), (4.0, 6.0, 2.6), doors=(("x+", 0.8),))
+    right = box_room((4.16, 0.0, 0.0), (5.0, 6.0, 2.6), doors=(("x-", 0.8),))
+    glimpse_a = right[(right[:, 0] < 6.66) & (right[:, 1] < 1.4)]
+    glimpse_b = left[(left[:, 0] > 1.5) & (left[:, 1] < 1.4)]
     config = extraction_preset("default")
-    a = extract(np.concatenate([left, right[right[:, 1] < 1.4]]), config).map
-    b = extract(np.concatenate([right, left[left[:, 1] < 1.4]]), config).map
+    a = extract(np.concatenate([left, glimpse_a]), config).map
+    b = extract(np.concatenate([right, glimpse_b]), config).map
     result = register(
         surface_of(b), surface_of(a), yaw_transform(0.0, (0.06, 0.0, 0.0)), RegistrationConfig()
     )
