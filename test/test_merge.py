@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -78,6 +79,22 @@ def test_the_global_graph_has_each_room_once() -> None:
     assert len(fused.storeys) == 1
     assert len(fused.viewpoints) == 12
     assert fused.frame_id == "global"
+
+
+def test_a_new_snapshot_of_any_agent_is_a_new_version_of_the_global_map() -> None:
+    a, b, c = maps()
+    poses = [place.T_global_agent for place in merged().agents]
+
+    def version(*members: TopometricMap) -> tuple[str, int]:
+        fused = fuse(members, poses[: len(members)], FuseConfig()).map
+        return fused.session, fused.sequence
+
+    before = version(a, b)
+    later = version(a, replace(b, sequence=b.sequence + 1))
+    assert later[0] == before[0]
+    assert later[1] == before[1] + 1
+    assert version(a, replace(b, session="restarted"))[0] != before[0]
+    assert version(a, b, c)[0] != before[0]
 
 
 def test_an_accepted_alignment_carries_its_evidence() -> None:

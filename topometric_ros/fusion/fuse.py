@@ -7,6 +7,7 @@ of one height one storey (`fuse_storeys`).
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -94,13 +95,14 @@ def fuse(
     ]
     new_id = room_ids(fragments, grid.coords, config.room_overlap)
     room = _labels(fragments, new_id, len(grid))
+    session, sequence = _version([m for _, m, _ in placed])
     passages = fused_passages(
         fragments, new_id, set(np.unique(room).tolist()), config.passage_distance
     )
     fused = TopometricMap(
         agent=GLOBAL,
-        session=anchor.session,
-        sequence=anchor.sequence,
+        session=session,
+        sequence=sequence,
         frame_id=anchor.frame_id if frame_id is None else frame_id,
         stamp=max(m.stamp for _, m, _ in placed),
         voxel_size=size,
@@ -116,6 +118,18 @@ def fuse(
         T_level_input=anchor.T_level_input,
     )
     return GlobalMap(fused, agents)
+
+
+def _version(maps: Sequence[TopometricMap]) -> tuple[str, int]:
+    """Return the session and sequence of a map that these were fused into.
+
+    The session changes with the agents and their sessions, the sequence counts their snapshots: a
+    consumer that compares both sees every update, whichever agent it came from.
+    """
+    if len(maps) == 1:
+        return maps[0].session, maps[0].sequence
+    sessions = "\n".join(f"{m.agent}={m.session}" for m in maps)
+    return hashlib.sha256(sessions.encode()).hexdigest()[:12], sum(m.sequence for m in maps)
 
 
 def _labels(
