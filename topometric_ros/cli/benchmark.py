@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from topometric_ros.cli.common import add_verbose, finish_progress, progress_of
-from topometric_ros.evaluation.benchmark import find_pairs, run_benchmark
+from topometric_ros.evaluation.benchmark import BenchmarkError, find_pairs, run_benchmark
 from topometric_ros.evaluation.benchmark_tables import benchmark_tables
 from topometric_ros.evaluation.peers.base import PeerError
 from topometric_ros.evaluation.peers.registry import DEFAULT_PEERS, PEER_NAMES, make_peer
+from topometric_ros.evaluation.scaling import AGENTS, ROOMS, run_scaling, sizes_of
+from topometric_ros.evaluation.scaling_tables import scaling_picture, scaling_tables
 from topometric_ros.io.summaries import write_atomically
 
 
@@ -20,12 +22,12 @@ def add_parser(commands: Any) -> None:
     command = commands.add_parser(
         "benchmark",
         help="this package and other methods side by side on pairs with known truth",
-        description="Write OUT/rows.csv and tables.md, and print the tables. Run it again to go on "
-        "where it stopped.",
+        description="Write OUT/rows.csv and tables.md, and print the tables; with --scaling "
+        "OUT/scaling.csv, scaling.md and scaling.png. Run it again to go on where it stopped.",
     )
     command.add_argument(
         "pairs",
-        nargs="+",
+        nargs="*",
         type=Path,
         metavar="PAIRS",
         help="folders of pairs, each with a.ply, b.ply and truth.json, or such folders themselves",
@@ -47,12 +49,30 @@ def add_parser(commands: Any) -> None:
         metavar="S",
         help="seconds of wall clock after which a run is ended (default 600)",
     )
+    command.add_argument(
+        "--scaling",
+        action="store_true",
+        help="instead of pairs: what larger and larger generated offices and more agents cost",
+    )
+    for name, sizes in (("rooms", ROOMS), ("agents", AGENTS)):
+        command.add_argument(
+            f"--{name}",
+            nargs="+",
+            type=_count,
+            metavar="N",
+            default=sizes,
+            help=f"of --scaling (default {' '.join(map(str, sizes))})",
+        )
     add_verbose(command)
     command.set_defaults(command=benchmark)
 
 
 def benchmark(options: argparse.Namespace) -> int:
     """Run the benchmark and print its tables."""
+    if options.scaling == bool(options.pairs):
+        raise BenchmarkError("give folders of pairs, or --scaling without them")
+    if options.scaling:
+        return _scaling(options)
     pairs = find_pairs(options.pairs, options.limit)
     peers = options.peers or _installed()
     rows = run_benchmark(
@@ -63,6 +83,20 @@ def benchmark(options: argparse.Namespace) -> int:
     finish_progress(options)
     print(tables, end="")
     return 0
+
+
+def _scaling(options: argparse.Namespace) -> int:
+    """Measure what sizes cost, print the tables and draw the picture."""
+    sizes = sizes_of(options.rooms, options.agents)
+    out, progress = options.output, progress_of(options)
+    known, failed = run_scaling(sizes, out, timeout=options.timeout, progress=progress)
+    tables = scaling_tables(known, failed)
+    write_atomically(out / "scaling.md", tables.encode())
+    if known:
+        write_atomically(out / "scaling.png", scaling_picture(known))
+    finish_progress(options)
+    print(tables, end="")
+    return 0 if known else 1
 
 
 def _installed() -> list[str]:

@@ -10,13 +10,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-import multiprocessing
-import resource
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +21,7 @@ import numpy as np
 from topometric_ros.errors import TopometricError
 from topometric_ros.evaluation.metrics_fusion import NO_OVERLAP, RIGHT, STRICTLY_RIGHT
 from topometric_ros.evaluation.peers.registry import make_peer
+from topometric_ros.evaluation.processes import ProcessError, in_own_process, peak_mb
 from topometric_ros.fusion.poses import angle, apart, inverse
 from topometric_ros.io.clouds import read_cloud
 from topometric_ros.io.summaries import write_atomically
@@ -203,38 +200,11 @@ def _from_cells(cells: dict[str, str]) -> BenchmarkRow:
 
 def _run_apart(pair: PairFolder, peer: str, timeout: float) -> BenchmarkRow:
     """Run one method on one pair in a fresh process."""
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_align_in_process, args=(sender, pair, peer), daemon=True)
-    process.start()
-    sender.close()
     try:
-        if receiver.poll(timeout):
-            row: BenchmarkRow = receiver.recv()
-            process.join()
-            return row
-        error = f"ended after {timeout:g} s"
-    except EOFError:
-        process.join()
-        error = f"the process ended with status {process.exitcode}"
-    finally:
-        if process.is_alive():
-            process.kill()
-            process.join()
-        receiver.close()
-    return _without_pose(pair, peer, error)
-
-
-def _align_in_process(sender: Connection, pair: PairFolder, peer: str) -> None:
-    """Align a pair and send the row; runs in a process of its own."""
-    try:
-        row = align_pair(pair, peer)
-    except Exception as error:
-        # Whatever a method throws is that method's result on this pair.
-        message = " ".join(f"{type(error).__name__}: {error}".split())
-        row = _without_pose(pair, peer, message)
-    sender.send(row)
-    sender.close()
+        row: BenchmarkRow = in_own_process(align_pair, pair, peer, timeout=timeout)
+    except ProcessError as error:
+        return _without_pose(pair, peer, str(error))
+    return row
 
 
 def align_pair(pair: PairFolder, peer: str) -> BenchmarkRow:
@@ -259,7 +229,7 @@ def align_pair(pair: PairFolder, peer: str) -> BenchmarkRow:
         turn,
         result.score,
         cpu,
-        _peak_mb(),
+        peak_mb(),
     )
 
 
@@ -277,15 +247,3 @@ def _truth(folder: Path) -> dict[str, Any]:
             f"{folder / 'truth.json'}: not the truth of a pair: {error}"
         ) from error
     return truth
-
-
-def _peak_mb() -> float:
-    """Return the largest memory that this process held, in MB of 2^20 bytes."""
-    try:
-        # Unlike ru_maxrss, this does not begin with what the process held before it was replaced.
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-        line = next(line for line in status.splitlines() if line.startswith("VmHWM"))
-        return float(line.split()[1]) / 1024
-    except (OSError, StopIteration):
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
