@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from topometric_ros.cli.common import (
     add_verbose,
@@ -14,6 +15,9 @@ from topometric_ros.cli.common import (
     progress_of,
 )
 
+if TYPE_CHECKING:
+    from topometric_ros.visualization.view import View
+
 
 def add_parser(commands: Any) -> None:
     """Add this command to the parser."""
@@ -21,7 +25,8 @@ def add_parser(commands: Any) -> None:
         "view",
         help="a map in 3D as one HTML page that needs no network",
         description="Write one HTML page: points by room, agent or storey, the topological graph, "
-        "the rooms' attributes and matches; with --save the same as PNG files.",
+        "the rooms' attributes and matches; with --save the same as PNG files, or with --stage too "
+        "what the stages of the extraction made.",
     )
     command.add_argument(
         "file",
@@ -36,6 +41,14 @@ def add_parser(commands: Any) -> None:
         help="page to write (default: view.html; none with --save)",
     )
     command.add_argument("--save", type=Path, metavar="DIR", help="write PNG files into DIR")
+    command.add_argument(
+        "--stage",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="with --save, draw stages of the extraction instead: navigable, distance, isovist, "
+        "similarity, rooms, matches (of a merge's output folder), or all that FILE can show",
+    )
     command.add_argument(
         "--config", default="default", metavar="F", help="of the extraction: YAML file or preset"
     )
@@ -54,6 +67,7 @@ def view(options: argparse.Namespace) -> int:
     from topometric_ros.visualization.view_sources import load_view
 
     progress = progress_of(options)
+    stages = _stages(options)
     shown = load_view(options.file, config_of(options), inputs_of(options), progress)
     written = []
     if options.output or not options.save:
@@ -61,7 +75,9 @@ def view(options: argparse.Namespace) -> int:
         page = options.output or Path("view.html")
         write_atomically(page, view_html(shown).encode())
         written.append(page)
-    if options.save:
+    if stages:
+        written += _draw_stages(options, shown, stages)
+    elif options.save:
         from topometric_ros.visualization.view_pictures import save_pictures
 
         progress("drawing")
@@ -70,3 +86,29 @@ def view(options: argparse.Namespace) -> int:
     for path in written:
         print(f"written: {path}")
     return 0
+
+
+def _stages(options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the stages that were asked for; raises ViewError where that makes no sense."""
+    from topometric_ros.visualization.stage_files import stage_names
+    from topometric_ros.visualization.view import ViewError
+
+    if options.stage and not options.save:
+        raise ViewError("--stage draws PNG files: name their folder with --save DIR")
+    return stage_names(options.stage or ())
+
+
+def _draw_stages(options: argparse.Namespace, shown: View, stages: tuple[str, ...]) -> list[Path]:
+    """Draw stages; under `all` those that the file cannot show are told and left out."""
+    from topometric_ros.visualization.stage_files import save_stages
+
+    config, inputs = config_of(options), inputs_of(options)
+    written, missing = save_stages(
+        shown, options.file, stages, options.save, config, inputs, progress_of(options)
+    )
+    if missing and ("all" not in options.stage or not written):
+        raise missing[0]
+    finish_progress(options)
+    for error in missing:
+        print(f"not drawn: {error}", file=sys.stderr)
+    return written

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from topometric_ros.alignment import Alignment, AlignmentStatus, GlobalMap, RoomMatch
+from topometric_ros.alignment import GlobalMap
 from topometric_ros.evaluation.case_result import CaseResult, Seconds
 from topometric_ros.evaluation.evaluate_case import case_folder
 from topometric_ros.evaluation.figures import rooms_over_truth
@@ -26,6 +26,7 @@ from topometric_ros.visualization.figures import global_figure, hex_colour
 from topometric_ros.visualization.page import details, page, picture, pill, text, tiles
 from topometric_ros.visualization.page import table as html_table
 from topometric_ros.visualization.pair_figures import matches_figure, overlay_figure
+from topometric_ros.visualization.stage_files import alignment_of
 from topometric_ros.voxels.palette import agent_colour
 
 PICTURED = 4
@@ -156,7 +157,7 @@ def _rooms_card(name: str, m: TopometricMap, row: CaseResult, i: int, folder: Pa
 
 def _pair(entry: Mapping[str, Any], maps: Mapping[str, TopometricMap], agents: list[str]) -> str:
     """Return what one alignment said, its overlay and its matches."""
-    alignment = _alignment(entry)
+    alignment = alignment_of(entry)
     a, b = (maps[name] for name in alignment.agents)
     words = f"{' and '.join(alignment.agents)}: {alignment.status}: {alignment.reason}"
     parts = [f"<p>{text(words)}</p>"]
@@ -168,18 +169,6 @@ def _pair(entry: Mapping[str, Any], maps: Mapping[str, TopometricMap], agents: l
         note = f"{len(alignment.matches)} matched rooms; unmatched rooms are grey."
         parts.append(details("matches", picture(matches_figure(a, b, alignment), "matches", note)))
     return "".join(parts)
-
-
-def _alignment(entry: Mapping[str, Any]) -> Alignment:
-    """Return an alignment as merge.json holds it."""
-    first, second = entry["agents"]
-    return Alignment(
-        agents=(first, second),
-        status=AlignmentStatus(entry["status"]),
-        reason=entry["reason"],
-        T_a_b=None if entry["T_a_b"] is None else np.array(entry["T_a_b"], np.float64),
-        matches=tuple(RoomMatch(int(i), int(j), float(d)) for i, j, d in entry["matches"]),
-    )
 
 
 def _numbers(values: Sequence[float], digits: int) -> str:

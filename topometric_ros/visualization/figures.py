@@ -71,7 +71,7 @@ def draw_map(sheet: Sheet, topometric_map: TopometricMap) -> list[tuple[Plan, Po
     """Draw all storeys of a map side by side; returns where they lie."""
     plans = storey_plans(topometric_map)
     upright = Pose(angle=-main_direction(topometric_map))
-    poses = _side_by_side(plans, upright)
+    poses = side_by_side(plans, upright)
     for plan, pose in zip(plans, poses, strict=True):
         draw_plan(sheet, plan, pose)
         _draw_graph(sheet, topometric_map, plan, pose)
@@ -80,7 +80,7 @@ def draw_map(sheet: Sheet, topometric_map: TopometricMap) -> list[tuple[Plan, Po
     return list(zip(plans, poses, strict=True))
 
 
-def _side_by_side(plans: Sequence[Plan], upright: Pose) -> list[Pose]:
+def side_by_side(plans: Sequence[Plan], upright: Pose) -> list[Pose]:
     """Return the poses of storeys from left to right, in register with each other."""
     poses, shift = [], 0.0
     for k, plan in enumerate(plans):
@@ -92,12 +92,16 @@ def _side_by_side(plans: Sequence[Plan], upright: Pose) -> list[Pose]:
 
 
 def draw_plan(
-    sheet: Sheet, plan: Plan, pose: Pose, colours: Mapping[int, Sequence[float]] | None = None
+    sheet: Sheet,
+    plan: Plan,
+    pose: Pose,
+    colours: Mapping[int, Sequence[float]] | None = None,
+    walls: str = INK,
 ) -> None:
     """Draw rooms and walls of a storey."""
     sheet.rooms(plan, pose, colours)
     layers = plan.storey.layers
-    sheet.mask(layers.wall, layers.origin, layers.cell, pose, INK)
+    sheet.mask(layers.wall, layers.origin, layers.cell, pose, walls)
     sheet.include(plan_bounds(plan, pose))
 
 

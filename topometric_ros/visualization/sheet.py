@@ -222,7 +222,7 @@ class Sheet:
         self._axes.text(x, y, text, va="bottom", size=size, color=colour, weight=weight, zorder=9)
 
     def legend(self, entries: Sequence[tuple[str, str, str]]) -> None:
-        """Explain colours below the drawing: (text, colour, "line" or "patch")."""
+        """Explain colours below the drawing: (text, colour, "line", "dot" or "patch")."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -230,6 +230,9 @@ class Sheet:
         for text, colour, kind in entries:
             if kind == "line":
                 handles.append(Line2D([], [], color=colour, lw=2.6, label=text))
+            elif kind == "dot":
+                rim: dict[str, Any] = {"mec": INK, "mew": 0.9}
+                handles.append(Line2D([], [], ls="", marker="o", mfc=colour, label=text, **rim))
             else:
                 handles.append(Patch(facecolor=colour, edgecolor="none", label=text))
         self._legend = handles
@@ -247,7 +250,8 @@ class Sheet:
         inch = min(width / (right - left), tallest / (top - bottom))
         top += self._head / inch
         # A narrow drawing gets paper beside it, for the scale bar and the legend below.
-        narrow = max(0.0, (2.0 + 1.45 * len(self._legend)) / inch - (right - left)) / 2
+        needed = 2.0 + sum(max(1.45, 0.6 + 0.085 * len(h.get_label())) for h in self._legend)
+        narrow = max(0.0, needed / inch - (right - left)) / 2
         left, right = left - narrow, right + narrow
         below = 0.42 / inch
         bottom -= _MARGIN + below

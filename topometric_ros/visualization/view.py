@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.errors import TopometricError
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 from topometric_ros.voxels.palette import agent_colour, room_colours
 
@@ -18,6 +19,10 @@ _UPPER = 1.9
 _BELOW_FLOOR = 0.3
 _MANY = (0x4A, 0x4A, 0x4A)
 """Colour of what several agents saw."""
+
+
+class ViewError(TopometricError):
+    """Nothing there that can be shown."""
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from topometric_ros.errors import TopometricError
 from topometric_ros.io.map_files import load_global_map
 from topometric_ros.runtime.bag_sources import parse_source
 from topometric_ros.runtime.config import ToolConfig
 from topometric_ros.runtime.sources import MAP_SUFFIX, InputOptions, load_source
-from topometric_ros.visualization.view import Match, View, single_view
-
-
-class ViewError(TopometricError):
-    """Nothing there that can be shown."""
+from topometric_ros.visualization.view import Match, View, ViewError, single_view
 
 
 def load_view(

@@ -1,0 +1,155 @@
+"""PNG files of the extraction's stages, and of the matches that a merge's output folder names."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from topometric_ros.alignment import Alignment, AlignmentStatus, RoomMatch
+from topometric_ros.io.summaries import write_atomically
+from topometric_ros.runtime.bag_sources import parse_source
+from topometric_ros.runtime.config import ToolConfig
+from topometric_ros.runtime.sources import InputOptions, load_source
+from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.visualization.pair_figures import matches_figure
+from topometric_ros.visualization.stages import STAGES, Stages
+from topometric_ros.visualization.view import View, ViewError
+
+_UP = 4
+"""How many folders above a merge its sources are looked for: an evaluation's lie three above."""
+
+
+def stage_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return stages by their names, `all` being every one; raises ViewError for another name.
+
+    Examples
+    --------
+    >>> stage_names(["rooms", "rooms"])
+    ('rooms',)
+    """
+    unknown = [name for name in names if name not in (*STAGES, "all")]
+    if unknown:
+        known = ", ".join((*STAGES, "all"))
+        raise ViewError(f"unknown stage {unknown[0]!r}; known: {known}")
+    return STAGES if "all" in names else tuple(dict.fromkeys(names))
+
+
+def save_stages(
+    view: View,
+    source: str,
+    stages: Sequence[str],
+    folder: Path,
+    config: ToolConfig,
+    options: InputOptions,
+    progress: Callable[[str], None],
+) -> tuple[list[Path], list[ViewError]]:
+    """Write `stage_NAME.png` of every stage.
+
+    Returns
+    -------
+    the files, and an error for every stage that the source cannot show
+    """
+    drawn = Stages(view.map, config.extraction)
+    pictures: dict[str, bytes] = {}
+    missing = []
+    for stage in stages:
+        progress(f"drawing {stage}")
+        try:
+            if stage == "matches":
+                pictures |= _matches(source, config, options, progress)
+            else:
+                pictures |= drawn.pictures(stage)
+        except ViewError as error:
+            missing.append(ViewError(f"{source}: {error}"))
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"stage_{name}.png" for name in pictures]
+    for path, picture in zip(paths, pictures.values(), strict=True):
+        write_atomically(path, picture)
+    return paths, missing
+
+
+def alignment_of(entry: Mapping[str, Any]) -> Alignment:
+    """Return an alignment as merge.json holds it."""
+    first, second = entry["agents"]
+    return Alignment(
+        agents=(first, second),
+        status=AlignmentStatus(entry["status"]),
+        reason=entry["reason"],
+        T_a_b=None if entry["T_a_b"] is None else np.array(entry["T_a_b"], np.float64),
+        matches=tuple(RoomMatch(int(i), int(j), float(d)) for i, j, d in entry["matches"]),
+    )
+
+
+def _matches(
+    source: str, config: ToolConfig, options: InputOptions, progress: Callable[[str], None]
+) -> dict[str, bytes]:
+    """Draw every pair of agents that has matched rooms; numbered where they are several."""
+    path = Path(source)
+    folder = path if path.is_dir() else path.parent
+    alignments, sources = _summary(folder / "merge.json")
+    matched = [alignment for alignment in alignments if alignment.matches]
+    if not matched:
+        raise ViewError("stage matches: no two agents have matched rooms")
+    agents = dict.fromkeys(agent for alignment in matched for agent in alignment.agents)
+    maps = {
+        agent: _source_map(folder, agent, sources[agent], config, options, progress)
+        for agent in agents
+    }
+    pictures = {}
+    for k, alignment in enumerate(matched):
+        a, b = (maps[agent] for agent in alignment.agents)
+        _require_rooms(a, [match.room_a for match in alignment.matches])
+        _require_rooms(b, [match.room_b for match in alignment.matches])
+        picture = matches_figure(a, b, alignment)
+        if picture is not None:
+            pictures["matches" if len(matched) == 1 else f"matches_{k + 1}"] = picture
+    return pictures
+
+
+def _summary(path: Path) -> tuple[list[Alignment], dict[str, str]]:
+    """Return the alignments of a merge.json and the sources of its agents."""
+    if not path.is_file():
+        raise ViewError("stage matches: only the output folder of merge or replay names matches")
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        sources = {str(agent["id"]): str(agent["source"]) for agent in summary["agents"]}
+        alignments = [alignment_of(entry) for entry in summary["alignments"]]
+        unknown = {name for a in alignments for name in a.agents} - sources.keys()
+        if unknown:
+            raise ValueError(f"no agent {min(unknown)!r}")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ViewError(f"{path}: not the summary of a merge: {error!r}") from error
+    return alignments, sources
+
+
+def _source_map(
+    folder: Path,
+    agent: str,
+    text: str,
+    config: ToolConfig,
+    options: InputOptions,
+    progress: Callable[[str], None],
+) -> TopometricMap:
+    """Return an agent's own map, from what it was merged from."""
+    source = parse_source(text)
+    above = folder.resolve()
+    places = [Path(), above, *list(above.parents)[:_UP]]
+    found = next((place / source.path for place in places if (place / source.path).exists()), None)
+    if found is None:
+        raise ViewError(f"stage matches: {text}, which agent {agent!r} came from, is not there")
+    source = dataclasses.replace(source, path=found, agent=agent)
+    return load_source(source, config, options, progress).map
+
+
+def _require_rooms(m: TopometricMap, rooms: Sequence[int]) -> None:
+    missing = sorted(set(rooms) - {room.id for room in m.rooms})
+    if missing:
+        raise ViewError(
+            f"stage matches: the map of {m.agent!r}, extracted again, has no room {missing[0]}; "
+            "give the --config that the merge had"
+        )
