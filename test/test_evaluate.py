@@ -14,6 +14,7 @@ from topometric_ros.cli.main import main
 from topometric_ros.evaluation import runner
 from topometric_ros.evaluation.case import EvaluationCaseError
 from topometric_ros.evaluation.case_result import COLUMNS, CaseResult, from_cells, to_cells
+from topometric_ros.evaluation.figures import reliability_figure
 from topometric_ros.evaluation.suite import CaseSpec, SuiteError, parse_suite, read_suite
 from topometric_ros.evaluation.table_cells import markdown
 from topometric_ros.evaluation.tables import tables
@@ -156,6 +157,15 @@ def test_a_false_merge_is_told_with_its_bound() -> None:
     text = markdown("x", tables(rows, {}))
     assert "10 % (1/10; below 39.4 %)" in text
     assert "0.810 (N = 1)" in text  # Brier: sure by 0.9 and wrong.
+
+
+def test_the_reliability_of_the_confidence_is_drawn_where_anything_was_accepted() -> None:
+    surely = ([0.95, 0.95, 0.97], [True, True, False])
+    drawn = reliability_figure({"default": surely, "thesis": ([0.3], [False])})
+    assert drawn is not None
+    assert drawn.startswith(b"\x89PNG")
+    assert reliability_figure({"default": surely, "thesis": ([], [])}) is not None
+    assert reliability_figure({"default": ([], [])}) is None
 
 
 def test_simulated_cases_are_all_combinations() -> None:

@@ -20,7 +20,7 @@ from topometric_ros.visualization.stage_files import stage_names
 from topometric_ros.visualization.stages import STAGES, Stages
 from topometric_ros.visualization.view import ViewError
 
-CONFIG = extraction_preset("default")
+CONFIG = replace(extraction_preset("default"), voxel_size=0.2)
 NOTHING = np.empty((0, 3), np.int32)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from topometric_ros.alignment import GlobalMap
 from topometric_ros.evaluation.case_result import CaseResult, Seconds
 from topometric_ros.evaluation.evaluate_case import case_folder
-from topometric_ros.evaluation.figures import rooms_over_truth
+from topometric_ros.evaluation.figures import reliability_figure, rooms_over_truth
 from topometric_ros.evaluation.table_cells import Table
 from topometric_ros.evaluation.tables import is_false, possible, tables
 from topometric_ros.io.map_files import load_global_map, load_map
@@ -51,6 +51,7 @@ def report_html(
         f"<h1>Suite {text(title)}</h1>",
         tiles(_summary(rows)),
         *(_table(table) for table in tables(rows, seconds)),
+        _reliability(rows),
         "<h2>All cases, worst first</h2>",
         f'<section class="card">{_all_cases(ranked)}</section>',
     ]
@@ -103,6 +104,20 @@ def _table(table: Table) -> str:
     note = f'<p class="soft">{text(table.note)}</p>' if table.note else ""
     body = html_table(table.head, cells)
     return f'<h2>{text(table.title)}</h2><section class="card">{body}{note}</section>'
+
+
+def _reliability(rows: Sequence[CaseResult]) -> str:
+    """Return the reliability diagram of the confidence, nothing where nothing was accepted."""
+    forecasts: dict[str, tuple[list[float], list[bool]]] = {}
+    for row in rows:
+        confidences, right = forecasts.setdefault(row.preset, ([], []))
+        for k, accepted in enumerate(row.accepted):
+            if accepted:
+                confidences.append(row.confidence[k])
+                right.append(bool(row.right[k]))
+    words = "Each mark: a tenth of the scale with its N and 95 % interval."
+    shown = picture(reliability_figure(forecasts), "reliability of the confidence", words)
+    return f'<section class="card">{shown}</section>' if shown else ""
 
 
 def _all_cases(rows: Sequence[CaseResult]) -> str:
