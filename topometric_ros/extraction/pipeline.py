@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +25,7 @@ from topometric_ros.extraction.storeys import (
     find_storeys,
 )
 from topometric_ros.extraction.viewpoints import viewpoints
+from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import Storey, TopometricMap
 from topometric_ros.voxels.grid import VoxelGrid, surface_offsets, thin, voxelise
 
@@ -70,19 +68,6 @@ class _Scene:
         return majority(self.cell_of_point, labels[self.raster_of_point])
 
 
-class _Stopwatch:
-    """CPU seconds of this thread by stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start = time.thread_time()
-        yield
-        self.seconds[name] = time.thread_time() - start
-
-
 def extract(
     points: NDArray[np.float64],
     config: ExtractionConfig,
@@ -116,7 +101,7 @@ def extract(
     ExtractionError
         No points, or no floor with z up.
     """
-    watch = _Stopwatch()
+    watch = Stopwatch()
     scene = _scene(points, config, origin, T_level_input, watch)
     grid = scene.grid
     room, navigable, eyes = _rooms(scene, config, watch)
@@ -159,7 +144,7 @@ def _scene(
     config: ExtractionConfig,
     origin: tuple[float, float, float] | None,
     T_level_input: NDArray[np.float64] | None,
-    watch: _Stopwatch,
+    watch: Stopwatch,
 ) -> _Scene:
     """Thin and level a cloud, find its storeys and put it into voxels."""
     if len(points) == 0:
@@ -238,7 +223,7 @@ def _storeys(
 
 
 def _rooms(
-    scene: _Scene, config: ExtractionConfig, watch: _Stopwatch
+    scene: _Scene, config: ExtractionConfig, watch: Stopwatch
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
     """Return the room of every voxel, the navigable voxels and the viewpoints."""
     with watch.stage("navigation"):

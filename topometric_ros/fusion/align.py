@@ -18,7 +18,7 @@ from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.consensus import consensus
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
-from topometric_ros.fusion.prepared import Prepared, Stopwatch
+from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.fusion.registration import (
     Registration,
     RegistrationConfig,
@@ -31,6 +31,7 @@ from topometric_ros.matching.evidence import Evidence, evaluate, refine
 from topometric_ros.matching.propose import propose_from_rooms, room_distances
 from topometric_ros.matching.search import search_poses
 from topometric_ros.matching.search_fields import ScoringConfig
+from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)

@@ -23,7 +23,8 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fuse import fuse
 from topometric_ros.fusion.groups import Groups, group_agents
 from topometric_ros.fusion.poses import apply, inverse
-from topometric_ros.fusion.prepared import Prepared, Stopwatch
+from topometric_ros.fusion.prepared import Prepared
+from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 MOST_AGENTS = 32

@@ -1,10 +1,7 @@
-"""A map with what aligning makes of it once, and a clock for the stages."""
+"""A map with what aligning makes of it, once."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -44,19 +41,3 @@ class Prepared:
     def tree(self) -> cKDTree:
         """Tree of the surface's points."""
         return cKDTree(self.surface.points)
-
-
-class Stopwatch:
-    """CPU seconds by stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the CPU time of the block to a stage."""
-        start = time.process_time()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - start

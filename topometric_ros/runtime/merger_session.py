@@ -20,12 +20,14 @@ from topometric_ros.alignment import (
     AlignmentStatus,
     MergeResult,
 )
-from topometric_ros.fusion.align import Prepared, Stopwatch, align
+from topometric_ros.fusion.align import align
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import merge
+from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.stability import steadier, support
 from topometric_ros.runtime.transforms import check_rigid
+from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
