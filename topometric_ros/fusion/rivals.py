@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.fusion.poses import angle, apart, inverse
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence
 from topometric_ros.matching.search_poses import pose_of, same_pose
@@ -60,10 +61,7 @@ def difference(
     one: NDArray[np.float64], other: NDArray[np.float64], centre: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Return how far (m) and by what angle (degrees) a second pose moves the walls in common."""
-    point = np.array([*centre, 1.0])
-    shift = float(np.linalg.norm((one @ point - other @ point)[:3]))
-    cosine = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1.0) / 2.0
-    return shift, float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return apart(one, other, np.array([centre])), float(np.degrees(angle(inverse(one) @ other)))
 
 
 def disproved_margin(best: Evidence, rivals: Sequence[Evidence]) -> float:
