@@ -12,13 +12,23 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from topometric_ros.cli import benchmark, evaluate, extract, merge, replay, run, simulate, view
+from topometric_ros.cli import (
+    benchmark,
+    evaluate,
+    export,
+    extract,
+    merge,
+    replay,
+    run,
+    simulate,
+    view,
+)
 from topometric_ros.errors import TopometricError
 
 BAD_INPUT = 2
 INTERRUPTED = 130
 
-_COMMANDS = (extract, merge, replay, run, benchmark, evaluate, simulate, view)
+_COMMANDS = (extract, merge, replay, run, view, export, benchmark, evaluate, simulate)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
