@@ -25,8 +25,8 @@ help:
 	@echo 'make check      set up, check format, lint, types, the colcon build and the README'
 	@echo 'make run-bag    replay your own bag: make run-bag BAG=path/to/bag [OUT=out/name]'
 	@echo 'make bench      CPU seconds by stage: make bench [CLOUD=path/to/cloud.ply]'
-	@echo 'make benchmark  this package and other methods on simulated pairs, or on those of PAIRS=folder;'
-	@echo '                make benchmark-full: on many more; both go on where they stopped'
+	@echo 'make benchmark  this package and other methods on the pairs of the suite short, or of PAIRS, a'
+	@echo '                suite or folder; make benchmark-full: many more; both go on where they stopped'
 	@echo 'make setup      only set up: Debian packages, $(VENV), wheels, messages'
 	@echo 'make clean      remove build products and outputs; make distclean also $(VENV)'
 	@echo 'PYTHON=/path/to/python3 picks the interpreter (3.11 or newer)'
@@ -69,16 +69,18 @@ run-bag: setup
 bench: setup
 	$(VENV)/bin/python scripts/benchmark_extraction.py $(CLOUD)
 
+# The suite grid needs the development data beside the repository.
 benchmark_extra = $(VENV)/bin/pip install --quiet "kiss-matcher>=1.0; python_version < '3.13'"
+full_suites = full $(if $(wildcard ../shared/data/pairs),grid)
 benchmark: setup
 	@$(benchmark_extra)
-	$(if $(PAIRS),,scripts/simulate_pairs.sh $(VENV) out/pairs-short 1 office:seed=3,rooms=14)
-	$(VENV)/bin/topometric benchmark $(or $(PAIRS),out/pairs-short) -o out/benchmark-short --timeout 120
+	$(VENV)/bin/topometric benchmark $(or $(PAIRS),short) -o out/benchmark-short --timeout 120
 
 benchmark-full: setup
 	@$(benchmark_extra)
-	$(if $(PAIRS),,scripts/simulate_pairs.sh $(VENV) out/pairs 10 office:seed=3,rooms=14 home:seed=3 hospital:seed=3)
-	$(VENV)/bin/topometric benchmark $(or $(PAIRS),out/pairs) -o out/benchmark
+	set -e; for suite in $(or $(PAIRS),$(full_suites)); do \
+	  $(VENV)/bin/topometric benchmark $$suite -o out/benchmark-$$(basename $$suite); \
+	done
 
 clean:
 	rm -rf build install log out dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

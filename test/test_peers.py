@@ -13,13 +13,12 @@ import pytest
 from test.helpers import box_room, moved, yaw_transform
 from topometric_ros.cli.main import main
 from topometric_ros.evaluation.benchmark import (
-    BenchmarkError,
     BenchmarkRow,
-    find_pairs,
     read_benchmark,
     run_benchmark,
     write_benchmark,
 )
+from topometric_ros.evaluation.benchmark_pairs import BenchmarkError, PairFolder, find_pairs
 from topometric_ros.evaluation.benchmark_tables import benchmark_tables, false_merges, share_of
 from topometric_ros.evaluation.peers.base import PeerError
 from topometric_ros.evaluation.peers.birdseye import Birdseye
@@ -55,9 +54,13 @@ def write_pair(folder: Path, overlap: float = 0.5) -> Path:
         head += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
         data = points.astype("<f4").tobytes()
         (folder / f"{name}.ply").write_bytes(head.encode() + data)
-    truth = {"overlap": overlap, "a_from_b": T_A_B.tolist()}
+    truth = {"plan": folder.name, "overlap": overlap, "a_from_b": T_A_B.tolist()}
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     return folder
+
+
+def pairs_in(folder: Path) -> tuple[PairFolder, ...]:
+    return find_pairs([str(folder)], folder / "out").pairs
 
 
 def test_birdseye_finds_a_known_transform():
@@ -94,7 +97,8 @@ def test_an_unknown_peer_is_told_with_the_known_ones():
 
 
 def test_a_benchmark_goes_on_where_it_stopped(tmp_path: Path):
-    pairs = find_pairs([write_pair(tmp_path / "pairs" / "one").parent])
+    pairs = pairs_in(write_pair(tmp_path / "pairs" / "one").parent)
+    assert [pair.cell for pair in pairs] == ["pairs"]
     first = run_benchmark(pairs, ["birdseye"], tmp_path / "out")
     assert first[0].right
     assert 0 < first[0].cpu < 20
@@ -106,7 +110,7 @@ def test_a_benchmark_goes_on_where_it_stopped(tmp_path: Path):
 
 
 def test_a_run_out_of_time_is_a_row_that_says_so(tmp_path: Path):
-    pairs = find_pairs([write_pair(tmp_path / "one")])
+    pairs = pairs_in(write_pair(tmp_path / "one"))
     rows = run_benchmark(pairs, ["birdseye"], tmp_path / "out", timeout=0.01)
     assert rows[0].error == "ended after 0.01 s"
     assert not rows[0].accepted
@@ -122,12 +126,57 @@ def test_rows_survive_the_file(tmp_path: Path):
     assert np.isnan(read["p", "two"].displacement)
 
 
+def test_a_suite_gives_pairs_that_are_kept_and_equal(tmp_path: Path):
+    suite = tmp_path / "tiny.yaml"
+    tree = {"pairs": str(tmp_path / "ready"), "cross": 1, "buildings": ["home:rooms=3"]}
+    tree |= {"seeds": [4], "degradations": {"noisy": {"sensor.lidar.noise": 0.03}}}
+    suite.write_text(json.dumps(tree), encoding="utf-8")
+    for name in ("one", "two"):
+        write_pair(tmp_path / "ready" / name)
+    found = find_pairs([str(suite)], tmp_path / "out")
+    assert found.origin == "4 pairs; 1 simulated: 1 buildings, 1 seeds of each in every cell (4)"
+    cells = {pair.cell: pair for pair in found.pairs}
+    assert list(cells) == ["pairs", "crossed", "noisy, overlap 0.5"]
+    made = cells["noisy, overlap 0.5"]
+    assert made.name.startswith("home_rooms=3_noisy_overlap_0.5_seed_4-")
+    assert 0.2 < made.overlap < 0.8
+    assert cells["crossed"].overlap == 0.0
+    kept = made.path / "a.ply"
+    written = kept.read_bytes(), kept.stat().st_mtime_ns
+    again = find_pairs([str(suite)], tmp_path / "out", progress=lambda text: None)
+    assert again == found
+    assert (kept.read_bytes(), kept.stat().st_mtime_ns) == written
+    other = find_pairs([str(suite)], tmp_path / "other").pairs[-1]
+    assert (other.path / "a.ply").read_bytes() == written[0]
+
+
+def test_a_suite_of_no_use_is_told_in_one_line(tmp_path: Path, capsys):
+    assert main(["benchmark", "no_such", "-o", str(tmp_path), "--peers", "birdseye"]) == 2
+    said = capsys.readouterr().err.strip()
+    assert "\n" not in said
+    assert "no folder of pairs, and no suite: no_such" in said
+    suite = tmp_path / "three.yaml"
+    suite.write_text("buildings: [home]\nagents: 3\n")
+    with pytest.raises(BenchmarkError, match="3 agents"):
+        find_pairs([str(suite)], tmp_path)
+
+
+def test_a_case_that_cannot_be_simulated_is_told_and_the_others_are_run(tmp_path: Path):
+    suite = tmp_path / "one.yaml"
+    suite.write_text(f"pairs: {tmp_path / 'ready'}\nbuildings: [{tmp_path / 'no.npz'}]\n")
+    write_pair(tmp_path / "ready" / "one")
+    found = find_pairs([str(suite)], tmp_path / "out")
+    assert [pair.name for pair in found.pairs] == ["one"]
+    assert list(found.failed) == ["no.npz clean overlap 0.5 seed 0"]
+    assert "- no.npz clean overlap 0.5 seed 0: " in benchmark_tables([row()], "", found.failed)
+
+
 def test_pairs_that_are_not_there_are_told(tmp_path: Path):
     with pytest.raises(BenchmarkError, match=r"no pair \(a\.ply, b\.ply, truth\.json\)"):
-        find_pairs([tmp_path])
+        pairs_in(tmp_path)
     (tmp_path / "truth.json").write_text("{}", encoding="utf-8")
     with pytest.raises(BenchmarkError, match="not the truth of a pair"):
-        find_pairs([tmp_path])
+        pairs_in(tmp_path)
 
 
 def test_a_pose_for_a_pair_without_overlap_is_a_false_merge():
@@ -151,3 +200,14 @@ def test_tables_hold_every_method_and_pair():
     assert "| one" + 4 * " | 100 % (1/1)" + " | 50 % (1/2; " in text
     assert re.search(r"\| q \| 0.00 \| \*\*0.010\*\* \|  \|", text)
     assert "- two on p: broke" in text
+
+
+def test_cells_have_a_table_a_measure():
+    rows = [row(cell="clean"), row(pair="q", cell="noisy", displacement=9.0, accepted=False)]
+    rows += [row(peer="two", cell="clean", overlap=0.01, cpu=float("nan"))]
+    text = benchmark_tables(rows, "2 pairs")
+    assert text.startswith("2 pairs.")
+    right = text.partition("Right and accepted, by cell:")[2].partition("Strictly")[0]
+    assert "| clean | 100 % (1/1) | – |" in right
+    assert "| noisy | 0 % (0/1; below 95.0 %) | – |" in right
+    assert "| clean | 0.0 | – |" in text.partition("CPU seconds, median")[2]

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from topometric_ros.cli.common import add_verbose, finish_progress, progress_of
-from topometric_ros.evaluation.benchmark import BenchmarkError, find_pairs, run_benchmark
+from topometric_ros.evaluation.benchmark import run_benchmark
+from topometric_ros.evaluation.benchmark_pairs import BenchmarkError, find_pairs
 from topometric_ros.evaluation.benchmark_tables import benchmark_tables
 from topometric_ros.evaluation.peers.base import PeerError
 from topometric_ros.evaluation.peers.registry import DEFAULT_PEERS, PEER_NAMES, make_peer
@@ -22,15 +23,16 @@ def add_parser(commands: Any) -> None:
     command = commands.add_parser(
         "benchmark",
         help="this package and other methods side by side on pairs with known truth",
-        description="Write OUT/rows.csv and tables.md, and print the tables; with --scaling "
-        "OUT/scaling.csv, scaling.md and scaling.png. Run it again to go on where it stopped.",
+        description="Write OUT/rows.csv and tables.md, and print the tables; the pairs of a suite "
+        "are simulated first and kept in OUT/pairs. With --scaling write OUT/scaling.csv, "
+        "scaling.md and scaling.png. Run it again to go on where it stopped.",
     )
     command.add_argument(
         "pairs",
         nargs="*",
-        type=Path,
         metavar="PAIRS",
-        help="folders of pairs, each with a.ply, b.ply and truth.json, or such folders themselves",
+        help="folders of pairs, each with a.ply, b.ply and truth.json, or such folders themselves; "
+        "or suites (YAML files or names: short, grid, ...)",
     )
     command.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
     command.add_argument(
@@ -70,15 +72,17 @@ def add_parser(commands: Any) -> None:
 def benchmark(options: argparse.Namespace) -> int:
     """Run the benchmark and print its tables."""
     if options.scaling == bool(options.pairs):
-        raise BenchmarkError("give folders of pairs, or --scaling without them")
+        raise BenchmarkError("give folders of pairs or suites, or --scaling without them")
     if options.scaling:
         return _scaling(options)
-    pairs = find_pairs(options.pairs, options.limit)
-    peers = options.peers or _installed()
+    peers, progress = options.peers or _installed(), progress_of(options)
+    for peer in peers:
+        make_peer(peer)  # What is not installed is told before hours of simulation.
+    found = find_pairs(options.pairs, options.output, options.limit, progress)
     rows = run_benchmark(
-        pairs, peers, options.output, timeout=options.timeout, progress=progress_of(options)
+        found.pairs, peers, options.output, timeout=options.timeout, progress=progress
     )
-    tables = benchmark_tables(rows)
+    tables = benchmark_tables(rows, found.origin, found.failed)
     write_atomically(options.output / "tables.md", tables.encode())
     finish_progress(options)
     print(tables, end="")

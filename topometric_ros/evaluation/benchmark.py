@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from topometric_ros.errors import TopometricError
+from topometric_ros.evaluation.benchmark_pairs import BenchmarkError, PairFolder, read_truth
 from topometric_ros.evaluation.metrics_fusion import NO_OVERLAP, RIGHT, STRICTLY_RIGHT
 from topometric_ros.evaluation.peers.registry import make_peer
 from topometric_ros.evaluation.processes import ProcessError, in_own_process, peak_mb
@@ -31,23 +29,6 @@ _EVERY = 97
 """Displacements are measured on every so many of b's points."""
 
 
-class BenchmarkError(TopometricError):
-    """Pairs that cannot be found or rows that cannot be read."""
-
-
-@dataclass(frozen=True)
-class PairFolder:
-    """Two clouds with the true transform between them: a.ply, b.ply and truth.json."""
-
-    path: Path
-    overlap: float
-
-    @property
-    def name(self) -> str:
-        """The folder's name."""
-        return self.path.name
-
-
 @dataclass(frozen=True)
 class BenchmarkRow:
     """One method on one pair.
@@ -55,7 +36,7 @@ class BenchmarkRow:
     `displacement` (m) and `angle` (degrees) are of the best pose, accepted or not, NaN where there
     is none or no truth to compare with; `cpu` seconds are of all threads while aligning, without
     reading the files and importing; `peak_mb` is of the whole process; `error` says why a run gave
-    nothing.
+    nothing; `cell` is the row of the tables that the pair belongs to.
     """
 
     pair: str
@@ -68,6 +49,7 @@ class BenchmarkRow:
     cpu: float
     peak_mb: float
     error: str = ""
+    cell: str = ""
 
     def within(self, limits: tuple[float, float]) -> bool:
         """Return whether the pose, accepted or not, is right within m and degrees."""
@@ -88,36 +70,6 @@ class BenchmarkRow:
     def false_merge(self) -> bool:
         """Whether the method accepted a pose that is not right."""
         return self.accepted and not self.right
-
-
-def find_pairs(roots: Sequence[Path], limit: int = 0) -> list[PairFolder]:
-    """Return the pairs below folders, or the folders that are pairs, by name.
-
-    Parameters
-    ----------
-    limit : at most this many, spread over the whole; 0: all
-
-    Raises
-    ------
-    BenchmarkError
-        There is no pair, or a truth cannot be read.
-    """
-    found = []
-    for root in roots:
-        folders = [root] if (root / "truth.json").is_file() else sorted(root.glob("*/"))
-        for folder in folders:
-            if (folder / "truth.json").is_file():
-                found.append(PairFolder(folder, float(_truth(folder)["overlap"])))
-    if not found:
-        raise BenchmarkError(
-            f"no pair (a.ply, b.ply, truth.json) in {', '.join(str(root) for root in roots)}"
-        )
-    names = [pair.name for pair in found]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise BenchmarkError(f"two pairs have the name {twice[0]!r}: rows are kept by it")
-    step = max(1, len(found) // limit) if limit else 1
-    return found[::step][: limit or None]
 
 
 def run_benchmark(
@@ -147,7 +99,7 @@ def run_benchmark(
     for k, (pair, peer) in enumerate(wanted):
         if (pair.name, peer) not in rows:
             progress(f"{k + 1} of {len(wanted)}: {peer} on {pair.name}")
-            rows[pair.name, peer] = _run_apart(pair, peer, timeout)
+            rows[pair.name, peer] = replace(_run_apart(pair, peer, timeout), cell=pair.cell)
             write_benchmark(out / ROWS, list(rows.values()))
     return [rows[pair.name, peer] for pair, peer in wanted]
 
@@ -194,6 +146,7 @@ def _from_cells(cells: dict[str, str]) -> BenchmarkRow:
         peer=cells["peer"],
         accepted=cells["accepted"] == "1",
         error=cells["error"],
+        cell=cells["cell"],
         **{name: float(cells[name]) for name in numbers},
     )
 
@@ -209,7 +162,7 @@ def _run_apart(pair: PairFolder, peer: str, timeout: float) -> BenchmarkRow:
 
 def align_pair(pair: PairFolder, peer: str) -> BenchmarkRow:
     """Run one method on one pair in this process and compare its pose with the truth."""
-    truth = _truth(pair.path)
+    truth = read_truth(pair.path)
     a, b = (read_cloud(pair.path / name).points for name in ("a.ply", "b.ply"))
     method = make_peer(peer)
     start = time.process_time()
@@ -236,14 +189,3 @@ def align_pair(pair: PairFolder, peer: str) -> BenchmarkRow:
 def _without_pose(pair: PairFolder, peer: str, error: str) -> BenchmarkRow:
     nan = float("nan")
     return BenchmarkRow(pair.name, peer, pair.overlap, False, nan, nan, nan, nan, nan, error)
-
-
-def _truth(folder: Path) -> dict[str, Any]:
-    try:
-        truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-        float(truth["overlap"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BenchmarkError(
-            f"{folder / 'truth.json'}: not the truth of a pair: {error}"
-        ) from error
-    return truth

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,19 +15,33 @@ _BANDS = ((0.5, 1.01), (0.35, 0.5), (0.2, 0.35), (LITTLE_OVERLAP, 0.2))
 Rows = Sequence[BenchmarkRow]
 
 
-def benchmark_tables(rows: Rows) -> str:
-    """Return the summary, the poses by overlap and every pair, as Markdown."""
+def benchmark_tables(
+    rows: Rows, origin: str = "", not_simulated: Mapping[str, str] | None = None
+) -> str:
+    """Return the summary, one table a measure by cell, and every pair, as Markdown.
+
+    Parameters
+    ----------
+    origin : in words, where the pairs are from
+    not_simulated : cases that gave no pair, and why
+    """
     peers = list(dict.fromkeys(row.peer for row in rows))
     by_peer = {peer: [row for row in rows if row.peer == peer] for peer in peers}
     parts = [
+        *([f"{origin}."] if origin else []),
         _summary(by_peer),
-        "Right pose found, accepted or not, by overlap:\n\n" + _by_overlap(by_peer),
+        *_by_cell(by_peer),
+        "Right pose found, accepted or not, by the overlap that there is:\n\n"
+        + _by_overlap(by_peer),
         "Displacement in m of every pair's best pose, **bold** where it was accepted:\n\n"
         + _by_pair(by_peer),
     ]
     failed = [f"- {row.peer} on {row.pair}: {row.error}" for row in rows if row.error]
     if failed:
         parts.append("Runs that gave nothing:\n\n" + "\n".join(failed))
+    if not_simulated:
+        told = [f"- {name}: {why}" for name, why in not_simulated.items()]
+        parts.append("Cases that could not be simulated:\n\n" + "\n".join(told))
     return "\n\n".join(parts) + "\n"
 
 
@@ -47,9 +61,8 @@ def _summary(by_peer: dict[str, list[BenchmarkRow]]) -> str:
     head += ["false merges", "CPU s, median", "most", "peak MB"]
     lines = []
     for peer, rows in by_peer.items():
-        possible = [row for row in rows if row.overlap >= LITTLE_OVERLAP]
-        seconds = [row.cpu for row in rows if np.isfinite(row.cpu)]
-        memory = [row.peak_mb for row in rows if np.isfinite(row.peak_mb)]
+        possible = _possible(rows)
+        seconds = _known(row.cpu for row in rows)
         lines.append(
             [
                 peer,
@@ -58,12 +71,60 @@ def _summary(by_peer: dict[str, list[BenchmarkRow]]) -> str:
                 share_of(possible, lambda row: row.right),
                 share_of(possible, lambda row: row.strictly_right),
                 false_merges(rows),
-                f"{np.median(seconds):.1f}" if seconds else "–",
+                _median(seconds),
                 f"{max(seconds):.1f}" if seconds else "–",
-                f"{max(memory):.0f}" if memory else "–",
+                _peak(rows),
             ]
         )
     return _table(head, lines)
+
+
+def _by_cell(by_peer: dict[str, list[BenchmarkRow]]) -> list[str]:
+    """Return one titled table a measure, cells down and methods across; none of a single cell."""
+    cells = dict.fromkeys(row.cell for rows in by_peer.values() for row in rows)
+    if len(cells) < 2:
+        return []
+    measures: dict[str, Callable[[Rows], str]] = {
+        "Right and accepted": lambda rows: share_of(
+            _possible(rows), lambda row: row.accepted and row.right
+        ),
+        "Strictly right and accepted": lambda rows: share_of(
+            _possible(rows), lambda row: row.accepted and row.strictly_right
+        ),
+        "Right pose found, accepted or not": lambda rows: share_of(
+            _possible(rows), lambda row: row.right
+        ),
+        "False merges": false_merges,
+        "CPU seconds, median": lambda rows: _median(row.cpu for row in rows),
+        "Peak memory, MB": _peak,
+    }
+    parts = []
+    for title, measured in measures.items():
+        lines = [
+            [cell, *(measured([r for r in rows if r.cell == cell]) for rows in by_peer.values())]
+            for cell in cells
+        ]
+        parts.append(f"{title}, by cell:\n\n" + _table(["cell", *by_peer], lines))
+    return parts
+
+
+def _possible(rows: Rows) -> Rows:
+    """Return the rows of pairs that share enough for a refusal to count."""
+    return [row for row in rows if row.overlap >= LITTLE_OVERLAP]
+
+
+def _known(values: Iterable[float]) -> list[float]:
+    return [value for value in values if np.isfinite(value)]
+
+
+def _median(values: Iterable[float]) -> str:
+    known = _known(values)
+    return f"{np.median(known):.1f}" if known else "–"
+
+
+def _peak(rows: Rows) -> str:
+    known = _known(row.peak_mb for row in rows)
+    return f"{max(known):.0f}" if known else "–"
 
 
 def _by_overlap(by_peer: dict[str, list[BenchmarkRow]]) -> str:

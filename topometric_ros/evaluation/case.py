@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from topometric_ros.configuration import with_values
 from topometric_ros.errors import TopometricError
 from topometric_ros.simulation.case import Case, SimulatedAgent
 from topometric_ros.simulation.case_files import read_case
+
+if TYPE_CHECKING:
+    from topometric_ros.evaluation.suite import CaseSpec
 
 Edge = tuple[int, int]
 
@@ -62,18 +65,8 @@ def crossed_case(folder_a: Path, folder_b: Path) -> EvaluationCase:
     return EvaluationCase((a, b), (PairTruth(0.0, None),), None, rooms=False)
 
 
-def simulated_case(
-    building: str, agents: int, overlap: float, settings: Mapping[str, Any], seed: int
-) -> EvaluationCase:
-    """Simulate agents in a building.
-
-    Parameters
-    ----------
-    building : for `simulation.buildings.load_building`
-    agents : how many
-    overlap : wanted share of the voxels that each agent has in common with the next
-    settings : further parameters of `SimulationConfig` by their dotted names
-    seed : of everything that is drawn
+def simulate_agents(spec: CaseSpec) -> Case:
+    """Simulate the agents of a case.
 
     Raises
     ------
@@ -82,9 +75,9 @@ def simulated_case(
     """
     from topometric_ros.simulation.cases import simulate  # Ray casting imports Open3D.
 
-    values = {"agents": agents, "overlap": overlap, **settings}
-    prepared = _prepared(building, json.dumps(values, sort_keys=True))
-    return of_case(simulate(prepared, prepared.config, seed))
+    values = {"agents": spec.agents, "overlap": spec.overlap, **spec.settings}
+    prepared = _prepared(spec.building, json.dumps(values, sort_keys=True))
+    return simulate(prepared, prepared.config, spec.seed)
 
 
 def pair_folders(root: Path) -> list[Path]:

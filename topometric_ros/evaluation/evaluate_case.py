@@ -23,7 +23,7 @@ from topometric_ros.evaluation.case import (
     EvaluationCase,
     crossed_case,
     of_case,
-    simulated_case,
+    simulate_agents,
 )
 from topometric_ros.evaluation.case_result import CaseResult, Numbers, Seconds
 from topometric_ros.evaluation.metrics_fusion import bytes_on_the_wire
@@ -89,7 +89,7 @@ def load_case(spec: CaseSpec) -> EvaluationCase:
         return crossed_case(folders[0], folders[1])
     if folders:
         return of_case(read_case(folders[0]))
-    return simulated_case(spec.building, spec.agents, spec.overlap, spec.settings, spec.seed)
+    return of_case(simulate_agents(spec))
 
 
 def case_folder(out: Path, case: str, preset: str) -> Path:

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from topometric_ros.alignment import MergeResult
-from topometric_ros.evaluation.benchmark import BenchmarkError
+from topometric_ros.evaluation.benchmark_pairs import BenchmarkError
 from topometric_ros.evaluation.metrics_fusion import RIGHT, bytes_on_the_wire
 from topometric_ros.evaluation.processes import ProcessError, in_own_process, peak_mb
 from topometric_ros.fusion.merge import MOST_AGENTS, merge
