@@ -62,7 +62,7 @@ def test_two_replays_write_the_same_bytes(tmp_path: Path, two_bags: list[str]) -
     files = sorted(p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*.*"))
     assert [str(name) for name in files] == [
         *("bag/bag.mcap", "bag/metadata.yaml", "global.ply", "global.tmap"),
-        *("merge.json", "report.html", "timings.json"),
+        *("global.trajectories.json", "merge.json", "report.html", "timings.json"),
     ]
     for name in files:
         if name.name != "timings.json":

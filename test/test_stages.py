@@ -15,6 +15,7 @@ from topometric_ros.cli.main import main
 from topometric_ros.extraction.config import extraction_preset
 from topometric_ros.extraction.pipeline import extract
 from topometric_ros.io.map_files import save_map
+from topometric_ros.io.trajectories import AgentTrajectory, write_trajectories
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 from topometric_ros.visualization.stage_files import stage_names
 from topometric_ros.visualization.stages import STAGES, Stages
@@ -45,6 +46,9 @@ def test_every_stage_is_drawn_without_a_display(tmp_path: Path):
     m = two_rooms()
     save_map(tmp_path / "map.tmap", m)
     write_merge(tmp_path, "map.tmap", (m.rooms[0].id, m.rooms[1].id))
+    places = np.array([[1.0, 1.5, 1.2], [6.0, 1.5, 1.2]])
+    way = AgentTrajectory("anna", "map", np.arange(2, dtype=np.int64), places)
+    write_trajectories(tmp_path / "map.tmap", [way])
     pictures = tmp_path / "pictures"
     assert main(["view", str(tmp_path), "--stage", "all", "--save", str(pictures)]) == 0
     names = {f"stage_{stage}.png" for stage in (*STAGES, "similarity_graph")}
@@ -79,7 +83,7 @@ def test_a_stage_that_a_map_cannot_show_is_told(stage: str, lacking: dict):
 
 def test_a_map_with_one_viewpoint_has_every_picture_of_its_own():
     one = replace(two_rooms(), viewpoints=two_rooms().viewpoints[:1])
-    assert all(Stages(one, CONFIG).pictures(stage) for stage in STAGES[:-1])
+    assert all(Stages(one, CONFIG).pictures(stage) for stage in STAGES[:-2])
 
 
 def test_all_leaves_out_what_cannot_be_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

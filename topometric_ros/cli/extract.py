@@ -40,6 +40,7 @@ def extract(options: argparse.Namespace) -> int:
     from topometric_ros.io.map_files import save_map
     from topometric_ros.io.merge_files import rounded_timings
     from topometric_ros.io.summaries import map_summary, write_json, write_rooms_ply
+    from topometric_ros.io.trajectories import write_trajectories
     from topometric_ros.runtime.bag_sources import parse_source
     from topometric_ros.runtime.sources import load_source
 
@@ -55,6 +56,7 @@ def extract(options: argparse.Namespace) -> int:
     write_json(folder / "map.json", summary)
     write_rooms_ply(folder / "rooms.ply", m)
     save_map(folder / "map.tmap", m)
+    write_trajectories(folder / "map.tmap", [loaded.trajectory] if loaded.trajectory else [])
     write_json(folder / "timings.json", timings)
     lines = [
         f"{m.agent}: {len(m.rooms)} rooms, {len(m.passages)} passages, {len(m.storeys)} storeys, "

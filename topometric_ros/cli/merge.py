@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from topometric_ros.errors import TopometricError
 
 if TYPE_CHECKING:
     from topometric_ros.alignment import MergeResult
+    from topometric_ros.io.trajectories import AgentTrajectory
     from topometric_ros.topometric_map import TopometricMap
 
 
@@ -67,21 +68,27 @@ def merge(options: argparse.Namespace) -> int:
     timings |= result.timings
     folder = output_folder(options)
     progress("writing the report")
-    write_result(folder, result, maps, timings)
+    write_result(folder, result, maps, timings, [e.trajectory for e in loaded if e.trajectory])
     content = {**merge_summary(result), "timings": rounded_timings(timings)}
     report(options, content, [*result_lines(result), f"written to {folder}"])
     return 0
 
 
 def write_result(
-    folder: Path, result: MergeResult, maps: list[TopometricMap], timings: dict[str, float]
+    folder: Path,
+    result: MergeResult,
+    maps: list[TopometricMap],
+    timings: dict[str, float],
+    trajectories: Sequence[AgentTrajectory],
 ) -> None:
     """Write the files of a merge with the report."""
     from topometric_ros.io.merge_files import rounded_timings, write_merge_files
     from topometric_ros.io.summaries import write_json
+    from topometric_ros.io.trajectories import write_trajectories
     from topometric_ros.visualization.report import write_report
 
     write_merge_files(folder, result)
+    write_trajectories(folder / "global.tmap", trajectories)
     write_json(folder / "timings.json", rounded_timings(timings))
     write_report(result, maps, folder / "report.html")
 

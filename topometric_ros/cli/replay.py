@@ -54,7 +54,8 @@ def replay(options: argparse.Namespace) -> int:
         agents, folder, config, inputs_of(options), every=options.every, progress=progress
     )
     progress("writing the report")
-    write_result(folder, replayed.result, list(replayed.maps), replayed.timings)
+    maps, trajectories = list(replayed.maps), replayed.trajectories
+    write_result(folder, replayed.result, maps, replayed.timings, trajectories)
     content = {
         **merge_summary(replayed.result),
         "timings": rounded_timings(replayed.timings),

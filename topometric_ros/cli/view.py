@@ -47,7 +47,8 @@ def add_parser(commands: Any) -> None:
         action="extend",
         metavar="NAME",
         help="with --save, draw stages of the extraction instead: navigable, distance, isovist, "
-        "similarity, rooms, matches (of a merge's output folder), or all that FILE can show",
+        "similarity, rooms, matches (of a merge's output folder), trajectories, or all that FILE "
+        "can show",
     )
     command.add_argument(
         "--config", default="default", metavar="F", help="of the extraction: YAML file or preset"
@@ -100,12 +101,11 @@ def _stages(options: argparse.Namespace) -> tuple[str, ...]:
 
 def _draw_stages(options: argparse.Namespace, shown: View, stages: tuple[str, ...]) -> list[Path]:
     """Draw stages; under `all` those that the file cannot show are told and left out."""
-    from topometric_ros.visualization.stage_files import save_stages
+    from topometric_ros.visualization.stage_files import FileStages, save_stages
 
     config, inputs = config_of(options), inputs_of(options)
-    written, missing = save_stages(
-        shown, options.file, stages, options.save, config, inputs, progress_of(options)
-    )
+    source = FileStages(shown, options.file, config, inputs, progress_of(options))
+    written, missing = save_stages(source, stages, options.save)
     if missing and ("all" not in options.stage or not written):
         raise missing[0]
     finish_progress(options)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topometric_msgs.srv import ExtractNow, Reset, SaveMap
 
 from topometric_ros.io.map_files import save_map
+from topometric_ros.io.trajectories import write_trajectories
 from topometric_ros.nodes.extractor_report import ExtractorReport
 from topometric_ros.nodes.services import computed, offer, written
 
@@ -62,6 +64,12 @@ class _ExtractorServices:
         if m is None:
             response.code, response.message = response.NO_INPUT, "there is no map yet"
             return response
-        if written(request.path, lambda path: save_map(path, m), response):
+        way = self._node.input.session.trajectory
+
+        def save(path: Path) -> None:
+            save_map(path, m)
+            write_trajectories(path, [way] if way else [])
+
+        if written(request.path, save, response):
             response.message = f"map {m.sequence} written to {response.path}"
         return response

@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from topometric_ros.errors import TopometricError
 from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.pipeline import Extraction
+from topometric_ros.io.trajectories import AgentTrajectory
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.runtime.accumulator import PointAccumulator
 from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.runtime.room_ids import keep_room_ids
+from topometric_ros.runtime.track import Track
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
@@ -81,6 +83,7 @@ class ExtractorSession:
         self._cloud: NDArray[np.float64] | None = None
         cell = min(self.extraction.voxel_size / 2, _FINEST_CELL)
         self._scans: PointAccumulator = PointAccumulator(cell)
+        self._track = Track()
         self._T_level_up: NDArray[np.float64] | None = None
         self._next_room = 0
 
@@ -88,6 +91,11 @@ class ExtractorSession:
     def has_input(self) -> bool:
         """True where there is something to extract a map from."""
         return self._cloud is not None or self.counts.scans > 0
+
+    @property
+    def trajectory(self) -> AgentTrajectory | None:
+        """Where the sensor was in the map's frame; None where no scan told."""
+        return self._track.trajectory(self.agent, self.frame_id)
 
     def add_map_cloud(
         self, points: NDArray[np.float64], frame_id: str, stamp: int, dropped: int = 0
@@ -131,6 +139,7 @@ class ExtractorSession:
         self.counts.scans += 1
         self.counts.dropped_points += dropped
         self._scans.add(points @ T_map_sensor[:3, :3].T + T_map_sensor[:3, 3])
+        self._track.add(stamp, T_map_sensor[:3, 3])
         self.stamp = max(self.stamp, stamp)
 
     def extract(self) -> Extraction:

@@ -16,6 +16,7 @@ from pathlib import Path
 from topometric_ros.alignment import MergeResult
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.bags import BagError, BagMessage, is_bag
+from topometric_ros.io.trajectories import AgentTrajectory
 from topometric_ros.runtime.bag_input import BagInput
 from topometric_ros.runtime.bag_sources import (
     BagSource,
@@ -36,11 +37,15 @@ _SECOND = 1_000_000_000
 
 @dataclass(frozen=True)
 class Replayed:
-    """What a replay came to: the final result, the agents' final maps and CPU seconds by stage."""
+    """What a replay came to: the final result, the agents' final maps and CPU seconds by stage.
+
+    `trajectories` are those of the agents whose bags hold scans, each in its own map's frame.
+    """
 
     result: MergeResult
     maps: tuple[TopometricMap, ...]
     timings: dict[str, float]
+    trajectories: tuple[AgentTrajectory, ...] = ()
 
 
 def find_agents(texts: Sequence[str]) -> list[BagSource]:
@@ -122,7 +127,8 @@ class _Replay:
             self._add(self._final_map(reader), reader, output)
         result = self._merge(output)
         maps = tuple(self._merger.maps[agent.id] for agent in result.agents)
-        return Replayed(result, maps, self._timings)
+        ways = [reader.agent_input.session.trajectory for reader in self._inputs]
+        return Replayed(result, maps, self._timings, tuple(way for way in ways if way))
 
     def _in_time_order(self) -> Iterator[tuple[BagMessage, BagInput]]:
         """Yield the messages of all sources; at one time the earlier source comes first."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from topometric_ros.io.bags import is_bag
 from topometric_ros.io.clouds import read_cloud, up_rotation
 from topometric_ros.io.map_files import load_map
+from topometric_ros.io.trajectories import AgentTrajectory, trajectory_of
 from topometric_ros.runtime.agent_input import AgentInput
 from topometric_ros.runtime.bag_input import BagInput
 from topometric_ros.runtime.bag_sources import (
@@ -42,11 +43,15 @@ class InputOptions:
 
 @dataclass(frozen=True)
 class LoadedMap:
-    """One source's map; `timings` holds CPU seconds by stage where it was extracted."""
+    """One source's map; `timings` holds CPU seconds by stage where it was extracted.
+
+    `trajectory` says where the agent was, in the frame of the source's points, where that is known.
+    """
 
     map: TopometricMap
     source: str
     timings: dict[str, float] = field(default_factory=dict)
+    trajectory: AgentTrajectory | None = None
 
 
 def _silent(_: str) -> None:
@@ -89,7 +94,9 @@ def load_source(
     """Return the map of one source; raises TopometricError as :func:`load_sources`."""
     if source.path.suffix.lower() == MAP_SUFFIX:
         m = load_map(source.path)
-        return LoadedMap(dataclasses.replace(m, agent=source.agent or m.agent), source.text)
+        agent = source.agent or m.agent
+        way = _trajectory_beside(source.path, m.agent, agent)
+        return LoadedMap(dataclasses.replace(m, agent=agent), source.text, trajectory=way)
     if is_bag(source.path):
         return load_bag_source(one_bag_source(source), config, options, progress)
     if source.topic is not None and not Path(source.path).exists():
@@ -108,7 +115,8 @@ def load_source(
         session=session_id(options.seed, agent, 0),
         sequence=1,
     )
-    return LoadedMap(result.map, source.text, result.timings)
+    way = _trajectory_beside(source.path, source.path.stem, agent)
+    return LoadedMap(result.map, source.text, result.timings, way)
 
 
 def load_bag_source(
@@ -129,7 +137,8 @@ def load_bag_source(
     progress(f"extracting {source.agent}")
     result = reader.agent_input.session.extract()
     m = dataclasses.replace(result.map, warnings=(*reader.warnings(), *result.map.warnings))
-    return LoadedMap(m, source.text, result.timings)
+    way = reader.agent_input.session.trajectory
+    return LoadedMap(m, source.text, result.timings, way)
 
 
 def bag_input(source: BagSource, config: ToolConfig, options: InputOptions) -> BagInput:
@@ -148,6 +157,12 @@ def bag_input(source: BagSource, config: ToolConfig, options: InputOptions) -> B
 def session_id(seed: int, agent: str, count: int) -> str:
     """Return a session's id that depends on nothing but these: 12 hexadecimal digits."""
     return hashlib.sha256(f"{seed}/{agent}/{count}".encode("utf-8", "replace")).hexdigest()[:12]
+
+
+def _trajectory_beside(path: Path, name: str, agent: str) -> AgentTrajectory | None:
+    """Return the trajectory of `name` that lies beside a file, as that of `agent`."""
+    found = trajectory_of(path, name)
+    return None if found is None else dataclasses.replace(found, agent=agent)
 
 
 def _named(source: Source) -> Source:

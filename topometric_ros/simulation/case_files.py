@@ -1,4 +1,4 @@
-"""Cases as folders: a.ply, b.ply, ..., truth.json, truth.npz and, where wanted, a bag.
+"""Cases as folders: a.ply, a.trajectories.json, ..., truth.json, truth.npz and, on demand, a bag.
 
 `truth.json` holds plan, seed, overlap, a_from_b, X_from_world, rooms_X, points, poses and edges;
 `truth.npz` the room of every point under the agent's id and, as poses_X and scan_X, from where it
@@ -16,7 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.io.ply import read_ply_points, write_ply
+from topometric_ros.io.trajectories import AgentTrajectory, write_trajectories
+from topometric_ros.runtime.track import Track
 from topometric_ros.simulation.case import Case, CaseError, SimulatedAgent
+from topometric_ros.simulation.recording import PERIOD, START
 
 
 def write_case(case: Case, folder: Path, bag: str = "") -> None:
@@ -43,6 +46,7 @@ def write_case(case: Case, folder: Path, bag: str = "") -> None:
         for axis, values in zip("xyz", agent.points.T, strict=True):
             table[axis] = values
         write_ply(folder / f"{agent.id}.ply", table)
+        write_trajectories(folder / f"{agent.id}.ply", _trajectory(agent))
         arrays[agent.id] = agent.room.astype(np.int16)
         arrays[f"poses_{agent.id}"] = agent.poses
         arrays[f"scan_{agent.id}"] = agent.scan_of_point.astype(np.int32)
@@ -87,6 +91,15 @@ def _read_agent(folder: Path, key: str, truth: Any, arrays: Any) -> SimulatedAge
         T_agent_building=np.array(truth[f"{key}_from_world"], dtype=float),
         rooms_walked=tuple(int(room) for room in truth[f"rooms_{key}"]),
     )
+
+
+def _trajectory(agent: SimulatedAgent) -> list[AgentTrajectory]:
+    """Return where the agent believes that its sensor was, in its own frame."""
+    track = Track()
+    for i, pose in enumerate(agent.poses):
+        track.add(START + i * PERIOD, pose[:3, 3])
+    found = track.trajectory(agent.id, f"{agent.id}/map")
+    return [found] if found else []
 
 
 def _truth(case: Case) -> dict[str, Any]:

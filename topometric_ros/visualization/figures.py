@@ -6,7 +6,7 @@ run along the page.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from topometric_ros.visualization.sheet import (
     Sheet,
     plan_bounds,
 )
+from topometric_ros.visualization.view import ViewError
 from topometric_ros.voxels.palette import agent_colour
 
 GAP = 1.2
@@ -89,6 +90,30 @@ def side_by_side(plans: Sequence[Plan], upright: Pose) -> list[Pose]:
         poses.append(upright.moved(shift, 0.0))
         shift += right + GAP
     return poses
+
+
+def draw_paper(
+    sheet: Sheet, m: TopometricMap, walls: str = INK
+) -> Iterator[tuple[Plan, Pose, int]]:
+    """Draw every storey grey; yields where it lies and its index in the map.
+
+    Raises
+    ------
+    ViewError
+        The map is empty.
+    """
+    plans = storey_plans(m)
+    if not plans:
+        raise ViewError("the map is empty")
+    index = {storey.id: k for k, storey in enumerate(m.storeys)}
+    poses = side_by_side(plans, Pose(angle=-main_direction(m)))
+    for plan, pose in zip(plans, poses, strict=True):
+        draw_plan(sheet, plan, pose, {}, walls)
+        if len(plans) > 1:
+            left, _, _, top = plan_bounds(plan, pose)
+            floor = number(plan.storey.floor_z, 1, "m")
+            sheet.caption(left, top, f"storey {plan.storey.id}, floor at {floor}")
+        yield plan, pose, index[plan.storey.id]
 
 
 def draw_plan(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from topometric_ros.runtime.sources import InputOptions, load_source
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.visualization.pair_figures import matches_figure
 from topometric_ros.visualization.stages import STAGES, Stages
+from topometric_ros.visualization.trajectories import trajectory_figure
 from topometric_ros.visualization.view import View, ViewError
 
 _UP = 4
@@ -39,14 +41,69 @@ def stage_names(names: Sequence[str]) -> tuple[str, ...]:
     return STAGES if "all" in names else tuple(dict.fromkeys(names))
 
 
+class FileStages:
+    """The stages of what a view shows; what several pictures need is made once.
+
+    Parameters
+    ----------
+    view : what the source holds
+    source : as `topometric view` was given it
+    config, options : of the extraction, where one is needed
+    progress : told in words what is being done
+    """
+
+    def __init__(
+        self,
+        view: View,
+        source: str,
+        config: ToolConfig,
+        options: InputOptions,
+        progress: Callable[[str], None],
+    ) -> None:
+        self.view, self.source, self.progress = view, source, progress
+        self.drawn = Stages(view.map, config.extraction)
+        self._config, self._options = config, options
+
+    @cached_property
+    def matched(self) -> tuple[list[Alignment], dict[str, TopometricMap]]:
+        """The pairs that have matched rooms, and the maps of their agents.
+
+        Raises
+        ------
+        TopometricError
+            The source is no output folder of a merge, or a map cannot be found or made again.
+        """
+        path = Path(self.source)
+        folder = path if path.is_dir() else path.parent
+        alignments, sources = _summary(folder / "merge.json")
+        matched = [alignment for alignment in alignments if alignment.matches]
+        if not matched:
+            raise ViewError("stage matches: no two agents have matched rooms")
+        agents = dict.fromkeys(agent for alignment in matched for agent in alignment.agents)
+        maps = {
+            agent: _source_map(
+                folder, agent, sources[agent], self._config, self._options, self.progress
+            )
+            for agent in agents
+        }
+        for alignment in matched:
+            first, second = alignment.agents
+            _require_rooms(maps[first], [match.room_a for match in alignment.matches])
+            _require_rooms(maps[second], [match.room_b for match in alignment.matches])
+        return matched, maps
+
+    def pictures(self, stage: str) -> dict[str, bytes]:
+        """Return the pictures of a stage by their names; raises ViewError where there are none."""
+        self.progress(f"drawing {stage}")
+        if stage == "matches":
+            return _matches(*self.matched)
+        if stage == "trajectories":
+            return {"trajectories": trajectory_figure(self.view)}
+        return self.drawn.pictures(stage)
+
+
 def save_stages(
-    view: View,
-    source: str,
-    stages: Sequence[str],
-    folder: Path,
-    config: ToolConfig,
-    options: InputOptions,
-    progress: Callable[[str], None],
+    stages: FileStages, names: Sequence[str], folder: Path
 ) -> tuple[list[Path], list[ViewError]]:
     """Write `stage_NAME.png` of every stage.
 
@@ -54,18 +111,13 @@ def save_stages(
     -------
     the files, and an error for every stage that the source cannot show
     """
-    drawn = Stages(view.map, config.extraction)
     pictures: dict[str, bytes] = {}
     missing = []
-    for stage in stages:
-        progress(f"drawing {stage}")
+    for name in names:
         try:
-            if stage == "matches":
-                pictures |= _matches(source, config, options, progress)
-            else:
-                pictures |= drawn.pictures(stage)
+            pictures |= stages.pictures(name)
         except ViewError as error:
-            missing.append(ViewError(f"{source}: {error}"))
+            missing.append(ViewError(f"{stages.source}: {error}"))
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"stage_{name}.png" for name in pictures]
     for path, picture in zip(paths, pictures.values(), strict=True):
@@ -85,26 +137,11 @@ def alignment_of(entry: Mapping[str, Any]) -> Alignment:
     )
 
 
-def _matches(
-    source: str, config: ToolConfig, options: InputOptions, progress: Callable[[str], None]
-) -> dict[str, bytes]:
+def _matches(matched: Sequence[Alignment], maps: Mapping[str, TopometricMap]) -> dict[str, bytes]:
     """Draw every pair of agents that has matched rooms; numbered where they are several."""
-    path = Path(source)
-    folder = path if path.is_dir() else path.parent
-    alignments, sources = _summary(folder / "merge.json")
-    matched = [alignment for alignment in alignments if alignment.matches]
-    if not matched:
-        raise ViewError("stage matches: no two agents have matched rooms")
-    agents = dict.fromkeys(agent for alignment in matched for agent in alignment.agents)
-    maps = {
-        agent: _source_map(folder, agent, sources[agent], config, options, progress)
-        for agent in agents
-    }
     pictures = {}
     for k, alignment in enumerate(matched):
         a, b = (maps[agent] for agent in alignment.agents)
-        _require_rooms(a, [match.room_a for match in alignment.matches])
-        _require_rooms(b, [match.room_b for match in alignment.matches])
         picture = matches_figure(a, b, alignment)
         if picture is not None:
             pictures["matches" if len(matched) == 1 else f"matches_{k + 1}"] = picture

@@ -6,7 +6,7 @@ what follows from them is computed again. Each returns PNG bytes, the same for t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -17,27 +17,27 @@ from topometric_ros.extraction.similarity import cluster_visibilities
 from topometric_ros.extraction.viewpoints import horizontal_distance_field
 from topometric_ros.extraction.visibility import Visibilities, jaccard, visibilities
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
-from topometric_ros.visualization.figures import draw_plan, hex_colour, map_figure, side_by_side
+from topometric_ros.visualization.figures import draw_paper, hex_colour, map_figure
 from topometric_ros.visualization.page import number
-from topometric_ros.visualization.plan import Plan, main_direction, storey_plans
-from topometric_ros.visualization.sheet import INK, Pose, Sheet, bounds_of, plan_bounds
+from topometric_ros.visualization.plan import Plan
+from topometric_ros.visualization.sheet import INK, Sheet, bounds_of
 from topometric_ros.visualization.similarity_matrix import matrix_figure
 from topometric_ros.visualization.view import ViewError, point_storeys
 from topometric_ros.voxels.grid import VoxelGrid
 from topometric_ros.voxels.palette import room_colours
 
-STAGES = ("navigable", "distance", "isovist", "similarity", "rooms", "matches")
+STAGES = ("navigable", "distance", "isovist", "similarity", "rooms", "matches", "trajectories")
 
 EYE = "#d1003f"
-_NAVIGABLE = "#44aa99"
+NAVIGABLE = "#44aa99"
 _SEEN_FLOOR = "#f6d99a"
-_SEEN_WALL = "#c25b00"
+SEEN = "#c25b00"
 _UNSEEN_WALL = "#a9afb6"
 _FEWEST_IN_WALL = 4
 """Seen voxels of a column that make it a wall and not floor, ceiling or the edge of a table."""
 _STEPS = 5
 """Colours of the distance field that the legend explains."""
-_DRAWN = 0.1
+DRAWN = 0.1
 """Edges of the similarity graph with a smaller Jaccard index are not drawn; most are tiny."""
 
 
@@ -57,8 +57,26 @@ class Stages:
         eyes = self.map.viewpoints.astype(np.float64)
         return visibilities(grid, eyes, self.config.views.visibility)
 
+    @cached_property
+    def similarity(self) -> NDArray[np.float64]:
+        """Jaccard index of every two views (K, K)."""
+        return jaccard(self.seen)
+
+    @cached_property
+    def clusters(self) -> NDArray[np.int32]:
+        """Cluster of every view (K,)."""
+        return cluster_visibilities(self.seen, self.config.views.similarity)
+
+    @cached_property
+    def distance(self) -> NDArray[np.float64]:
+        """Horizontal distance from each navigable voxel to the edge of all of them: (N,), m."""
+        m = self.map
+        if not len(m.navigable):
+            raise ViewError("the map holds no navigable voxels")
+        return horizontal_distance_field(m.navigable, self.config.viewpoints.step) * m.voxel_size
+
     def pictures(self, stage: str) -> dict[str, bytes]:
-        """Return the pictures of a stage but `matches`, by their names.
+        """Return the pictures of a stage, by their names; not of `matches` and `trajectories`.
 
         Raises
         ------
@@ -67,7 +85,7 @@ class Stages:
         """
         draw: Mapping[str, Callable[[], dict[str, bytes]]] = {
             "navigable": lambda: {"navigable": navigable_figure(self.map)},
-            "distance": lambda: {"distance": distance_figure(self.map, self.config)},
+            "distance": lambda: {"distance": distance_figure(self.map, self.distance, self.config)},
             "isovist": lambda: {"isovist": isovist_figure(self.map, self.seen, self.config)},
             "similarity": self._similarity,
             "rooms": self._rooms,
@@ -78,8 +96,7 @@ class Stages:
             raise ViewError(f"stage {stage}: {error}") from error
 
     def _similarity(self) -> dict[str, bytes]:
-        similarity = jaccard(self.seen)
-        clusters = cluster_visibilities(self.seen, self.config.views.similarity)
+        similarity, clusters = self.similarity, self.clusters
         return {
             "similarity": matrix_figure(similarity, clusters),
             "similarity_graph": graph_figure(self.map, similarity, clusters, self.config),
@@ -94,28 +111,32 @@ class Stages:
 
 def navigable_figure(m: TopometricMap) -> bytes:
     """Draw the navigable volume over the floor plan (§4.2.4)."""
-    _require_navigable(m)
+    if not len(m.navigable):
+        raise ViewError("the map holds no navigable voxels")
     sheet, area = Sheet(), 0.0
-    storeys = _storeys_of(m, _heights(m, m.navigable))
-    for plan, pose, index in _paper(sheet, m):
+    storeys = navigable_storeys(m)
+    for plan, pose, index in draw_paper(sheet, m):
         standing, _ = _columns(m, plan, m.navigable[storeys == index])
         area += standing.sum() * plan.cell**2
-        sheet.mask(standing, plan.origin, plan.cell, pose, _NAVIGABLE, order=1.5)
+        sheet.mask(standing, plan.origin, plan.cell, pose, NAVIGABLE, order=1.5)
     name = f"navigable volume, {number(area, 0, 'm²')}"
-    sheet.legend([("walls", INK, "patch"), (name, _NAVIGABLE, "patch")])
+    sheet.legend([("walls", INK, "patch"), (name, NAVIGABLE, "patch")])
     return sheet.png()
 
 
-def distance_figure(m: TopometricMap, config: ExtractionConfig) -> bytes:
-    """Draw the horizontal distance field with the viewpoints (§4.2.5-4.2.6, figures 7 and 8)."""
+def distance_figure(
+    m: TopometricMap, distance: NDArray[np.float64], config: ExtractionConfig
+) -> bytes:
+    """Draw the horizontal distance field with the viewpoints (§4.2.5-4.2.6, figures 7 and 8).
+
+    `distance` (N,), m, is that of each navigable voxel.
+    """
     from matplotlib import colormaps
 
-    _require_navigable(m)
     sheet, colours = Sheet(), colormaps["viridis"]
-    distance = horizontal_distance_field(m.navigable, config.viewpoints.step) * m.voxel_size
-    storeys = _storeys_of(m, _heights(m, m.navigable))
-    eye_storeys = _eye_storeys(m, config)
-    for plan, pose, index in _paper(sheet, m):
+    storeys = navigable_storeys(m)
+    eye_storeys = eye_storeys_of(m, config)
+    for plan, pose, index in draw_paper(sheet, m):
         here = storeys == index
         standing, values = _columns(m, plan, m.navigable[here], distance[here])
         image = np.round(colours(values / distance.max()) * 255).astype(np.uint8)
@@ -143,12 +164,12 @@ def isovist_figure(m: TopometricMap, seen: Visibilities, config: ExtractionConfi
     rows = seen.rows(best)
     eye = m.viewpoints[best].astype(np.float64)
     storeys = _storeys_of(m, _heights(m, m.voxels[rows]))
-    home, radius = _eye_storeys(m, config)[best], config.views.visibility.radius
-    for plan, pose, index in _paper(sheet, m, _UNSEEN_WALL):
+    home, radius = eye_storeys_of(m, config)[best], config.views.visibility.radius
+    for plan, pose, index in draw_paper(sheet, m, _UNSEEN_WALL):
         floor, count = _columns(m, plan, m.voxels[rows[storeys == index]])
         for mask, tint, order in (
             (floor, _SEEN_FLOOR, 1.5),
-            (count >= _FEWEST_IN_WALL, _SEEN_WALL, 3.0),
+            (count >= _FEWEST_IN_WALL, SEEN, 3.0),
         ):
             sheet.mask(mask, plan.origin, plan.cell, pose, tint, order)
         if index == home:
@@ -159,7 +180,7 @@ def isovist_figure(m: TopometricMap, seen: Visibilities, config: ExtractionConfi
     sheet.legend(
         [
             (f"viewpoint, range {number(radius, 0, 'm')}", EYE, "dot"),
-            ("walls seen", _SEEN_WALL, "patch"),
+            ("walls seen", SEEN, "patch"),
             ("floor, ceiling seen", _SEEN_FLOOR, "patch"),
             ("other walls", _UNSEEN_WALL, "patch"),
         ]
@@ -180,12 +201,12 @@ def graph_figure(
     """
     sheet = Sheet()
     tints = [hex_colour(colour) for colour in room_colours(clusters)]
-    storeys = _eye_storeys(m, config)
-    for _, pose, index in _paper(sheet, m):
+    storeys = eye_storeys_of(m, config)
+    for _, pose, index in draw_paper(sheet, m):
         here = np.flatnonzero(storeys == index)
         places = dict(zip(here.tolist(), pose.apply(_xy(m)[here]), strict=True))
         weights = np.triu(similarity[np.ix_(here, here)], 1)
-        pairs = np.argwhere(weights >= _DRAWN)
+        pairs = np.argwhere(weights >= DRAWN)
         # The strongest last, so that they lie on top.
         for i, j in pairs[np.argsort(weights[tuple(pairs.T)], kind="stable")]:
             weight = weights[i, j]
@@ -196,25 +217,9 @@ def graph_figure(
             sheet.dot(place, tints[view], 6.5)
     count = int(clusters.max()) + 1
     name = f"{len(clusters)} views, {count} clusters"
-    edges = f"Jaccard index ≥ {_DRAWN}"
+    edges = f"Jaccard index ≥ {DRAWN}"
     sheet.legend([(name, tints[0], "dot"), (edges, INK, "line")])
     return sheet.png()
-
-
-def _paper(sheet: Sheet, m: TopometricMap, walls: str = INK) -> Iterator[tuple[Plan, Pose, int]]:
-    """Draw every storey grey; yields where it lies and its index in the map."""
-    plans = storey_plans(m)
-    if not plans:
-        raise ViewError("the map is empty")
-    index = {storey.id: k for k, storey in enumerate(m.storeys)}
-    poses = side_by_side(plans, Pose(angle=-main_direction(m)))
-    for plan, pose in zip(plans, poses, strict=True):
-        draw_plan(sheet, plan, pose, {}, walls)
-        if len(plans) > 1:
-            left, _, _, top = plan_bounds(plan, pose)
-            floor = number(plan.storey.floor_z, 1, "m")
-            sheet.caption(left, top, f"storey {plan.storey.id}, floor at {floor}")
-        yield plan, pose, index[plan.storey.id]
 
 
 def _columns(
@@ -237,6 +242,11 @@ def _columns(
     return mask, result
 
 
+def navigable_storeys(m: TopometricMap) -> NDArray[np.uint8]:
+    """Return the index of the storey that each navigable voxel lies on: (N,)."""
+    return _storeys_of(m, _heights(m, m.navigable))
+
+
 def _storeys_of(m: TopometricMap, z: NDArray[np.float64]) -> NDArray[np.uint8]:
     return point_storeys(m, z, np.full(len(z), NO_ROOM, np.int32))
 
@@ -254,14 +264,9 @@ def _xy(m: TopometricMap) -> NDArray[np.float64]:
     return m.viewpoints[:, :2].astype(np.float64)
 
 
-def _eye_storeys(m: TopometricMap, config: ExtractionConfig) -> NDArray[np.uint8]:
+def eye_storeys_of(m: TopometricMap, config: ExtractionConfig) -> NDArray[np.uint8]:
     """Return the storey of the voxel that each viewpoint stands on: (K,)."""
     return _storeys_of(m, m.viewpoints[:, 2].astype(np.float64) - config.viewpoints.height)
-
-
-def _require_navigable(m: TopometricMap) -> None:
-    if not len(m.navigable):
-        raise ViewError("the map holds no navigable voxels")
 
 
 def _rgb(colour: Sequence[float]) -> list[int]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
+from topometric_ros.io.trajectories import AgentTrajectory
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 from topometric_ros.voxels.palette import agent_colour, room_colours
 
@@ -46,7 +47,9 @@ class View:
     map: TopometricMap
     observed_by: NDArray[np.uint32]
     agents: tuple[str, ...]
-    matches: tuple[Match, ...] = field(default=())
+    matches: tuple[Match, ...] = ()
+    trajectories: tuple[AgentTrajectory, ...] = ()
+    """Where agents were, in the map's level frame; of those that are in the map and known."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +70,11 @@ class ViewPoints:
     """Who saw a point, as words, with a colour."""
 
 
-def single_view(m: TopometricMap) -> View:
-    """Return the view of one agent's map."""
+def single_view(m: TopometricMap, trajectory: AgentTrajectory | None = None) -> View:
+    """Return the view of one agent's map; `trajectory` is in the frame of the map's input."""
     agent = m.agent or "map"
-    return View(agent, m, np.ones(len(m.voxels), np.uint32), (agent,))
+    ways = () if trajectory is None else (trajectory.moved(m.T_level_input),)
+    return View(agent, m, np.ones(len(m.voxels), np.uint32), (agent,), trajectories=ways)
 
 
 def view_points(view: View, most: int = MOST_POINTS) -> ViewPoints:

@@ -7,8 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topometric_ros.io.map_files import load_global_map
+from topometric_ros.io.trajectories import read_trajectories, trajectory_of
 from topometric_ros.runtime.bag_sources import parse_source
 from topometric_ros.runtime.config import ToolConfig
 from topometric_ros.runtime.sources import MAP_SUFFIX, InputOptions, load_source
@@ -36,18 +38,26 @@ def load_view(
             return _map_file_view(path / name)
     if path.suffix.lower() == MAP_SUFFIX and path.is_file():
         return _map_file_view(path)
-    return single_view(load_source(parse_source(source), config, options, progress).map)
+    loaded = load_source(parse_source(source), config, options, progress)
+    return single_view(loaded.map, loaded.trajectory)
 
 
 def _map_file_view(path: Path) -> View:
     """Return the view of a map file, with the matches of the merge.json beside a global map."""
     m, observed_by, agents = load_global_map(path)
     if observed_by is None or not agents:
-        return single_view(m)
-    summary = path.with_name("merge.json")
-    matches = _matches(summary) if path.name == "global.tmap" and summary.is_file() else ()
+        return single_view(m, trajectory_of(path, m.agent))
     title = f"global map of {', '.join(_present(observed_by, agents))}"
-    return View(title, m, observed_by, tuple(agents), matches)
+    summary = path.with_name("merge.json")
+    if path.name != "global.tmap" or not summary.is_file():
+        return View(title, m, observed_by, tuple(agents))
+    matches, placed = _merge_summary(summary)
+    ways = [
+        entry.moved(m.T_level_input @ placed[entry.agent])
+        for entry in read_trajectories(path)
+        if entry.agent in placed
+    ]
+    return View(title, m, observed_by, tuple(agents), matches, tuple(ways))
 
 
 def _present(observed_by: np.ndarray, agents: tuple[str, ...]) -> list[str]:
@@ -56,10 +66,11 @@ def _present(observed_by: np.ndarray, agents: tuple[str, ...]) -> list[str]:
     return [agent for k, agent in enumerate(agents) if everything >> k & 1] or list(agents)
 
 
-def _matches(path: Path) -> tuple[Match, ...]:
+def _merge_summary(path: Path) -> tuple[tuple[Match, ...], dict[str, NDArray[np.float64]]]:
+    """Return the pairs of a merge.json and T_global_agent (4, 4) of the agents that have one."""
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
-        return tuple(
+        matches = tuple(
             Match(
                 (str(entry["agents"][0]), str(entry["agents"][1])),
                 str(entry["status"]),
@@ -68,5 +79,11 @@ def _matches(path: Path) -> tuple[Match, ...]:
             )
             for entry in summary["alignments"]
         )
+        placed = {
+            str(agent["id"]): np.array(agent["T_global_agent"], np.float64).reshape(4, 4)
+            for agent in summary["agents"]
+            if agent.get("T_global_agent") is not None
+        }
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
         raise ViewError(f"{path}: not the summary of a merge: {error!r}") from error
+    return matches, placed
