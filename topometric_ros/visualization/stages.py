@@ -73,7 +73,8 @@ class Stages:
         m = self.map
         if not len(m.navigable):
             raise ViewError("the map holds no navigable voxels")
-        return horizontal_distance_field(m.navigable, self.config.viewpoints.step) * m.voxel_size
+        steps = horizontal_distance_field(m.navigable, self.config.viewpoints.step)
+        return np.asarray(steps * m.voxel_size, np.float64)
 
     def pictures(self, stage: str) -> dict[str, bytes]:
         """Return the pictures of a stage, by their names; not of `matches` and `trajectories`.
