@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from test.helpers import box_room, moved, yaw_transform
+from topometric_ros.cli.benchmark import PEERS
 from topometric_ros.cli.main import main
 from topometric_ros.evaluation.benchmark import (
     BenchmarkRow,
@@ -23,6 +24,7 @@ from topometric_ros.evaluation.benchmark_tables import benchmark_tables, false_m
 from topometric_ros.evaluation.peers.base import PeerError
 from topometric_ros.evaluation.peers.birdseye import Birdseye
 from topometric_ros.evaluation.peers.registry import DEFAULT_PEERS, PEER_NAMES, make_peer
+from topometric_ros.evaluation.suite import parse_suite
 from topometric_ros.fusion.poses import angle, apart, inverse
 
 T_A_B = yaw_transform(2.1, (3.0, -7.5, 0.4))
@@ -94,6 +96,7 @@ def test_an_unknown_peer_is_told_with_the_known_ones():
     with pytest.raises(PeerError, match="unknown peer 'icp'; known: topometric, "):
         make_peer("icp")
     assert set(DEFAULT_PEERS) < set(PEER_NAMES)
+    assert ", ".join(PEER_NAMES) == PEERS
 
 
 def test_a_benchmark_goes_on_where_it_stopped(tmp_path: Path):
@@ -146,6 +149,10 @@ def test_a_suite_gives_pairs_that_are_kept_and_equal(tmp_path: Path):
     again = find_pairs([str(suite)], tmp_path / "out", progress=lambda text: None)
     assert again == found
     assert (kept.read_bytes(), kept.stat().st_mtime_ns) == written
+    assert made in find_pairs([str(tmp_path / "out/pairs")], tmp_path).pairs
+    assert made.cell in {
+        case.group for case in parse_suite({"pairs": f"{tmp_path}/out/pairs"}).cases
+    }
     other = find_pairs([str(suite)], tmp_path / "other").pairs[-1]
     assert (other.path / "a.ply").read_bytes() == written[0]
 

@@ -8,14 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from topometric_ros.cli.common import add_verbose, finish_progress, progress_of
-from topometric_ros.evaluation.benchmark import run_benchmark
-from topometric_ros.evaluation.benchmark_pairs import BenchmarkError, find_pairs
-from topometric_ros.evaluation.benchmark_tables import benchmark_tables
-from topometric_ros.evaluation.peers.base import PeerError
-from topometric_ros.evaluation.peers.registry import DEFAULT_PEERS, PEER_NAMES, make_peer
-from topometric_ros.evaluation.scaling import AGENTS, ROOMS, run_scaling, sizes_of
-from topometric_ros.evaluation.scaling_tables import scaling_picture, scaling_tables
-from topometric_ros.io.summaries import write_atomically
+
+PEERS = "topometric, topometric_thesis, birdseye, kiss_matcher, fpfh_ransac_icp, fgr_icp"
+"""As `evaluation.peers.registry` has them, which takes a second to import."""
+ROOMS, AGENTS = (10, 30, 100, 300, 1000), (2, 5, 10, 20)
+"""Sizes that `--scaling` measures by default."""
 
 
 def add_parser(commands: Any) -> None:
@@ -39,7 +36,7 @@ def add_parser(commands: Any) -> None:
         "--peers",
         nargs="+",
         metavar="NAME",
-        help=f"of {', '.join(PEER_NAMES)} (default: all that are installed, but the thesis preset)",
+        help=f"of {PEERS} (default: all that are installed, but the thesis preset)",
     )
     command.add_argument(
         "--limit", type=_count, default=0, metavar="N", help="at most N pairs, spread over all"
@@ -71,6 +68,12 @@ def add_parser(commands: Any) -> None:
 
 def benchmark(options: argparse.Namespace) -> int:
     """Run the benchmark and print its tables."""
+    from topometric_ros.evaluation.benchmark import run_benchmark
+    from topometric_ros.evaluation.benchmark_pairs import BenchmarkError, find_pairs
+    from topometric_ros.evaluation.benchmark_tables import benchmark_tables
+    from topometric_ros.evaluation.peers.registry import make_peer
+    from topometric_ros.io.summaries import write_atomically
+
     if options.scaling == bool(options.pairs):
         raise BenchmarkError("give folders of pairs or suites, or --scaling without them")
     if options.scaling:
@@ -91,6 +94,10 @@ def benchmark(options: argparse.Namespace) -> int:
 
 def _scaling(options: argparse.Namespace) -> int:
     """Measure what sizes cost, print the tables and draw the picture."""
+    from topometric_ros.evaluation.scaling import run_scaling, sizes_of
+    from topometric_ros.evaluation.scaling_tables import scaling_picture, scaling_tables
+    from topometric_ros.io.summaries import write_atomically
+
     sizes = sizes_of(options.rooms, options.agents)
     out, progress = options.output, progress_of(options)
     known, failed = run_scaling(sizes, out, timeout=options.timeout, progress=progress)
@@ -105,6 +112,9 @@ def _scaling(options: argparse.Namespace) -> int:
 
 def _installed() -> list[str]:
     """Return the default methods; one whose library is missing is named on stderr."""
+    from topometric_ros.evaluation.peers.base import PeerError
+    from topometric_ros.evaluation.peers.registry import DEFAULT_PEERS, make_peer
+
     peers = []
     for name in DEFAULT_PEERS:
         try:

@@ -117,7 +117,9 @@ def _folders(root: Path) -> list[PairFolder | CaseSpec]:
 
 
 def _pair(folder: Path, cell: str) -> PairFolder:
-    return PairFolder(folder, float(read_truth(folder)["overlap"]), cell)
+    """Return a pair; its truth.json may name the cell, as those written here do."""
+    truth = read_truth(folder)
+    return PairFolder(folder, float(truth["overlap"]), str(truth.get("cell", cell)))
 
 
 def _cases(source: str) -> list[PairFolder | CaseSpec]:
@@ -147,6 +149,8 @@ def _written(spec: CaseSpec, out: Path) -> PairFolder:
             write_case(simulate_agents(spec), part)
         else:
             _write_crossed(spec, part)
+        truth = json.dumps({**read_truth(part), "cell": spec.group}) + "\n"
+        (part / "truth.json").write_text(truth, encoding="utf-8")
         part.rename(folder)
     return _pair(folder, spec.group)
 

@@ -102,11 +102,22 @@ def crossed_folders(folders: Sequence[Path], limit: int) -> list[tuple[Path, Pat
     return list(itertools.islice(pairs, limit))
 
 
+def cell_of(folder: Path) -> str:
+    """Return the row of the tables that a pair belongs to: its truth's `cell`, else "pairs"."""
+    return str(_truth(folder).get("cell", "pairs"))
+
+
 def _plan(folder: Path) -> str:
+    return str(_truth(folder)["plan"])
+
+
+def _truth(folder: Path) -> dict[str, Any]:
     try:
-        return str(json.loads((folder / "truth.json").read_text(encoding="utf-8"))["plan"])
+        truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        truth["plan"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise EvaluationCaseError(f"{folder / 'truth.json'}: names no plan: {error!r}") from error
+    return truth
 
 
 @lru_cache(maxsize=1)

@@ -34,8 +34,6 @@ from topometric_ros.simulation.degrade import DegradeConfig, random_frame
 from topometric_ros.simulation.surfaces import sampled_surfaces
 
 ROWS = "scaling.csv"
-ROOMS = (10, 30, 100, 300, 1000)
-AGENTS = (2, 5, 10, 20)
 _HEAD = ("rooms", "agents", "measure", "value")
 _WARM_UP = (3, 2)
 

@@ -30,7 +30,7 @@ from typing import Any
 import yaml
 
 from topometric_ros.errors import TopometricError
-from topometric_ros.evaluation.case import crossed_folders, pair_folders
+from topometric_ros.evaluation.case import cell_of, crossed_folders, pair_folders
 from topometric_ros.extraction.config import PRESETS
 
 _KEYS = {
@@ -139,7 +139,7 @@ def _ready(tree: Mapping[str, Any]) -> list[CaseSpec]:
         return []
     folders = pair_folders(Path(tree["pairs"]))
     limit = tree.get("cross", 0)
-    cases = [CaseSpec(p.name, "pairs", (str(p),)) for p in folders]
+    cases = [CaseSpec(p.name, cell_of(p), (str(p),)) for p in folders]
     cases += [
         CaseSpec(f"{p.name} a x {q.name} b", "crossed", (str(p), str(q)))
         for p, q in crossed_folders(folders, limit)
