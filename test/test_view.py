@@ -80,6 +80,21 @@ def page_data(html: str) -> dict:
     return json.loads(found[1])
 
 
+def opened_in_browser(page: Path, address: str) -> str:
+    """Return what a browser makes of a page; `address` is what follows the #."""
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    flags += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    flags += [f"--user-data-dir={page.with_name('profile')}", "--virtual-time-budget=10000"]
+    opened = subprocess.run(
+        [str(CHROMIUM), *flags, "--dump-dom", f"{page.as_uri()}#{address}"],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=True,
+    )
+    return opened.stdout
+
+
 def test_a_page_fetches_nothing():
     html = view_html(single_view(two_rooms()))
     assert "default-src 'none'" in html
@@ -154,17 +169,7 @@ def test_a_folder_with_nothing_to_show_is_told(tmp_path: Path, capsys: pytest.Ca
 def test_a_browser_draws_the_page_and_shows_the_room_that_is_asked_for(tmp_path: Path):
     page = tmp_path / "page.html"
     page.write_text(view_html(two_agents()), encoding="utf-8")
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-    flags += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    flags += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=10000"]
-    opened = subprocess.run(
-        [str(CHROMIUM), *flags, "--dump-dom", f"{page.as_uri()}#room=7&storey=2&colour=agent"],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=True,
-    )
-    dom = opened.stdout
+    dom = opened_in_browser(page, "room=7&storey=2&colour=agent")
     assert 'data-state="drawn"' in dom
     assert '<div id="room"><b>room 7</b>' in dom
     assert '<span id="storeyname">1, floor at 3.00' in dom

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,8 @@ from topometric_ros.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from topometric_ros.visualization.view import View
+    from topometric_ros.visualization.stage_files import FileStages
+    from topometric_ros.visualization.view import ViewError
 
 
 def add_parser(commands: Any) -> None:
@@ -25,8 +27,8 @@ def add_parser(commands: Any) -> None:
         "view",
         help="a map in 3D as one HTML page that needs no network",
         description="Write one HTML page: points by room, agent or storey, the topological graph, "
-        "the rooms' attributes and matches; with --save the same as PNG files, or with --stage too "
-        "what the stages of the extraction made.",
+        "the rooms' attributes and matches, and the stages of the extraction; with --save the same "
+        "as PNG files.",
     )
     command.add_argument(
         "file",
@@ -46,7 +48,7 @@ def add_parser(commands: Any) -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help="with --save, draw stages of the extraction instead: navigable, distance, isovist, "
+        help="stages to show in the page or, with --save, to draw: navigable, distance, isovist, "
         "similarity, rooms, matches (of a merge's output folder), trajectories, or all that FILE "
         "can show",
     )
@@ -63,52 +65,41 @@ def add_parser(commands: Any) -> None:
 
 def view(options: argparse.Namespace) -> int:
     """Load what is to be shown and write page and pictures."""
-    from topometric_ros.io.summaries import write_atomically
-    from topometric_ros.visualization.view_page import view_html
+    from topometric_ros.visualization.stage_files import FileStages, save_stages, stage_names
+    from topometric_ros.visualization.view_pictures import save_pictures
     from topometric_ros.visualization.view_sources import load_view
 
-    progress = progress_of(options)
-    stages = _stages(options)
-    shown = load_view(options.file, config_of(options), inputs_of(options), progress)
-    written = []
+    progress, config, inputs = progress_of(options), config_of(options), inputs_of(options)
+    asked = stage_names(options.stage or ())
+    shown = load_view(options.file, config, inputs, progress)
+    stages = FileStages(shown, options.file, config, inputs, progress)
+    written, missing = [], []
     if options.output or not options.save:
-        progress("writing the page")
-        page = options.output or Path("view.html")
-        write_atomically(page, view_html(shown).encode())
-        written.append(page)
-    if stages:
-        written += _draw_stages(options, shown, stages)
+        missing = _write_page(stages, options.output or Path("view.html"), asked)
+        written.append(options.output or Path("view.html"))
+    if asked and options.save:
+        pictures, missing = save_stages(stages, asked, options.save)
+        written += pictures
     elif options.save:
-        from topometric_ros.visualization.view_pictures import save_pictures
-
         progress("drawing")
         written += save_pictures(shown, options.save)
+    if missing and asked and ("all" not in options.stage or not written):
+        raise missing[0]
     finish_progress(options)
     for path in written:
         print(f"written: {path}")
+    for error in missing if asked else ():
+        print(f"not drawn: {error}", file=sys.stderr)
     return 0
 
 
-def _stages(options: argparse.Namespace) -> tuple[str, ...]:
-    """Return the stages that were asked for; raises ViewError where that makes no sense."""
-    from topometric_ros.visualization.stage_files import stage_names
-    from topometric_ros.visualization.view import ViewError
+def _write_page(stages: FileStages, page: Path, asked: Sequence[str]) -> list[ViewError]:
+    """Write the page; returns an error for every stage that it cannot show."""
+    from topometric_ros.io.summaries import write_atomically
+    from topometric_ros.visualization.page_stages import page_stages
+    from topometric_ros.visualization.view_page import view_html
 
-    if options.stage and not options.save:
-        raise ViewError("--stage draws PNG files: name their folder with --save DIR")
-    return stage_names(options.stage or ())
-
-
-def _draw_stages(options: argparse.Namespace, shown: View, stages: tuple[str, ...]) -> list[Path]:
-    """Draw stages; under `all` those that the file cannot show are told and left out."""
-    from topometric_ros.visualization.stage_files import FileStages, save_stages
-
-    config, inputs = config_of(options), inputs_of(options)
-    source = FileStages(shown, options.file, config, inputs, progress_of(options))
-    written, missing = save_stages(source, stages, options.save)
-    if missing and ("all" not in options.stage or not written):
-        raise missing[0]
-    finish_progress(options)
-    for error in missing:
-        print(f"not drawn: {error}", file=sys.stderr)
-    return written
+    shown, missing = page_stages(stages, asked)
+    stages.progress("writing the page")
+    write_atomically(page, view_html(stages.view, shown).encode())
+    return missing

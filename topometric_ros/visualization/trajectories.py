@@ -30,23 +30,31 @@ def trajectory_figure(view: View) -> bytes:
     ViewError
         No trajectory is known.
     """
-    if not view.trajectories:
-        raise ViewError(f"stage trajectories: {NONE_KNOWN}")
+    ways = trajectories_of(view)
     sheet, starts = Sheet(), dict[int, NDArray[np.float64]]()
-    legs = [(k, t, list(legs_of(view.map, t))) for k, t in enumerate(view.trajectories)]
+    legs = [(t, colour_of(view, t), list(legs_of(view.map, t))) for t in ways]
     for _, pose, storey in draw_paper(sheet, view.map, "#8b929a"):
-        for k, _, parts in legs:
+        for k, (_, colour, parts) in enumerate(legs):
             for index, places in parts:
                 if index == storey:
                     placed = pose.apply(places[:, :2])
-                    sheet.line(placed, colour_of(view, k), 2.2, casing=0.8)
+                    sheet.line(placed, colour, 2.2, casing=0.8)
                     sheet.include(bounds_of(placed))
                     starts.setdefault(k, placed[0])
-    for k, _, _ in legs:
-        sheet.dot(starts[k], colour_of(view, k), 7.0)
-    entries = [(name_of(t), colour_of(view, k), "line") for k, t, _ in legs]
+    for k, (_, colour, _) in enumerate(legs):
+        if k in starts:
+            sheet.dot(starts[k], colour, 7.0)
+    entries = [(name_of(t), colour, "line") for t, colour, _ in legs]
     sheet.legend([("start", PAPER, "dot"), *entries])
     return sheet.png()
+
+
+def trajectories_of(view: View) -> tuple[AgentTrajectory, ...]:
+    """Return the trajectories of a view; raises ViewError where it has none."""
+    ways = tuple(way for way in view.trajectories if len(way.positions))
+    if not ways:
+        raise ViewError(f"stage trajectories: {NONE_KNOWN}")
+    return ways
 
 
 def legs_of(
@@ -63,10 +71,10 @@ def legs_of(
         yield int(storeys[start]), places[start : end + 1]
 
 
-def colour_of(view: View, index: int) -> str:
-    """Return the colour of the index-th trajectory: its agent's."""
-    agent = view.trajectories[index].agent
-    return hex_colour(agent_colour(view.agents.index(agent) if agent in view.agents else index))
+def colour_of(view: View, trajectory: AgentTrajectory) -> str:
+    """Return the colour of a trajectory: its agent's."""
+    known = trajectory.agent in view.agents
+    return hex_colour(agent_colour(view.agents.index(trajectory.agent) if known else 0))
 
 
 def name_of(trajectory: AgentTrajectory) -> str:

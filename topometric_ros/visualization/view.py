@@ -66,6 +66,8 @@ class ViewPoints:
     storey: NDArray[np.uint8]
     observers: NDArray[np.uint8]
     upper: NDArray[np.bool_]
+    step: int
+    """Every how manieth voxel is shown."""
     classes: tuple[tuple[str, tuple[int, int, int]], ...]
     """Who saw a point, as words, with a colour."""
 
@@ -93,6 +95,7 @@ def view_points(view: View, most: int = MOST_POINTS) -> ViewPoints:
         storey,
         observers.astype(np.uint8),
         xyz[:, 2] > floors[storey] + _UPPER,
+        step,
         classes,
     )
 

@@ -10,8 +10,12 @@
   const observers = new Uint8Array(bytes(data.points.observers));
   const upper = new Uint8Array(bytes(data.points.upper));
   const rooms = new Map(data.rooms.map(r => [r.id, r]));
-  const plain = "#b8b8b8";
-  const state = {colour: "room", storey: 0, room: null};
+  const plain = "#b8b8b8", faint = "#c9ced4", seen = "#c25b00";
+  const state = {stage: "rooms", pair: 0, colour: "room", storey: 0, room: null};
+  const titles = {rooms: "rooms", navigable: "navigable volume", distance: "distance field and viewpoints",
+    isovist: "isovist", similarity: "similarity matrix and graph", matches: "matches side by side",
+    trajectories: "trajectories"};
+  const stageOf = () => data.stages[state.stage] || {};
   const colours = {
     room: i => (rooms.get(room[i]) || {colour: plain}).colour,
     agent: i => data.classes[observers[i]].colour,
@@ -32,7 +36,7 @@
     z: Float32Array.from(part.rows, i => xyz[3 * i + 2]),
     text: part.rows.map(i => (rooms.get(room[i]) || {name: "no room"}).name),
     customdata: part.rows.map(i => room[i]),
-    marker: {size: 2, color: part.rows.map(colours[state.colour])},
+    marker: {size: pointSize(), color: part.rows.map(pointColour)},
   });
   data.storeys.forEach((_, s) => parts.push({kind: "edges", storey: s}, {kind: "nodes", storey: s}));
   const edgeTrace = part => {
@@ -53,11 +57,26 @@
       marker: {size: 8, color: here.map(r => r.colour), line: {color: "#1d2228", width: 2}}};
   };
   const makers = {points: pointTrace, edges: edgeTrace, nodes: nodeTrace};
-  const shown = part => (state.storey === 0 || part.storey === state.storey - 1) &&
-    (part.kind === "points" ? !part.upper || at("upper").checked : at("graph").checked);
+  parts.push(...stageParts(data, bytes));
+  const onStorey = part => state.storey === 0 || part.storey < 0 || part.storey === state.storey - 1;
+  const shown = part => {
+    if (part.stage) return part.stage === state.stage && onStorey(part) && (part.kind !== "pair" || part.pair === state.pair);
+    if (state.stage === "matches" && !stageOf().missing || !onStorey(part)) return false;
+    return part.kind === "points" ? !part.upper || at("upper").checked : state.stage === "rooms" && at("graph").checked;
+  };
+  const pointColour = i => {
+    if (state.stage === "rooms") return colours[state.colour](i);
+    return state.stage === "isovist" && !stageOf().missing && stageOf().sees(i) ? seen : faint;
+  };
+
+  // What a stage adds should show through the walls before it.
+  const pointSize = () => state.stage === "rooms" || state.stage === "isovist" ? 2 : 1.2;
 
   const legend = () => {
-    const entries = {room: [], agent: data.classes, storey: data.storeys}[state.colour];
+    const stage = stageOf();
+    const entries = state.stage === "rooms" ? {room: [], agent: data.classes, storey: data.storeys}[state.colour]
+      : stage.missing ? [] : stage.ways || (state.stage === "isovist" ? [{name: "viewpoint and range", colour: "#d1003f"},
+        {name: `seen: ${stage.seen[stage.chosen].toLocaleString("en")} voxels`, colour: seen}, {name: "not seen", colour: faint}] : []);
     at("legend").replaceChildren(...entries.map(entry => {
       const line = document.createElement("span"), swatch = document.createElement("span");
       swatch.className = "swatch"; swatch.style.background = entry.colour;
@@ -81,7 +100,8 @@
     remember();
   };
   const remember = () => {
-    const entries = Object.entries({room: state.room, storey: state.storey || null,
+    const entries = Object.entries({stage: state.stage === "rooms" ? null : state.stage, pair: state.pair || null,
+      room: state.room, storey: state.storey || null,
       colour: state.colour === "room" ? null : state.colour}).filter(e => e[1] !== null);
     history.replaceState(null, "", "#" + new URLSearchParams(entries));
   };
@@ -90,6 +110,8 @@
 
   const wanted = new URLSearchParams(location.hash.slice(1));
   if (colours[wanted.get("colour")]) state.colour = wanted.get("colour");
+  if (data.stages[wanted.get("stage")]) state.stage = wanted.get("stage");
+  state.pair = Math.min(Math.max(0, parseInt(wanted.get("pair")) || 0), ((data.stages.matches || {}).pairs || [0]).length - 1);
   state.storey = Math.min(data.storeys.length, Math.max(0, parseInt(wanted.get("storey")) || 0));
   at("colour").value = state.colour;
   at("storey").max = data.storeys.length;
@@ -102,7 +124,22 @@
     button.onclick = () => select(r.id);
     return button;
   }));
-  legend(); nameStorey();
+  at("stages").hidden = !Object.keys(data.stages).length;
+  at("stage").replaceChildren(...Object.entries(data.stages).map(([name, stage]) =>
+    new Option(titles[name] + (stage.missing ? " (not here)" : ""), name, false, name === state.stage)));
+  at("pair").replaceChildren(...((data.stages.matches || {}).pairs || []).map((pair, k) =>
+    new Option(pair.name, String(k), false, k === state.pair)));
+  const nameStage = () => {
+    const stage = stageOf();
+    at("stagenote").textContent = stage.missing ? `Not here: ${stage.missing}.` : stage.note || "";
+    at("pair").hidden = state.stage !== "matches" || !!stage.missing;
+    at("colours").hidden = at("graphs").hidden = state.stage !== "rooms";
+    at("uppers").hidden = !!stage.pairs;
+    at("flat").hidden = !stage.matrixPlot;
+    document.body.dataset.stage = state.stage;
+    legend();
+  };
+  nameStage(); nameStorey();
   if (wanted.has("room")) select(parseInt(wanted.get("room")));
 
   const problem = text => {
@@ -119,12 +156,44 @@
   const layout = {margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "keep",
     scene: {aspectmode: "data", xaxis: axis("x (m)"), yaxis: axis("y (m)"), zaxis: axis("z (m)"),
       camera: {eye: {x: 0.7, y: -1.3, z: 1.6}}}};
-  const traces = parts.map(part => ({...makers[part.kind](part), visible: shown(part)}));
+  const traces = parts.map(part => ({...(part.trace ? part.trace() : makers[part.kind](part)), visible: shown(part)}));
+  const which = kind => parts.flatMap((part, k) => part.kind === kind ? [k] : []);
+  const recolour = () => {
+    const points = which("points");
+    if (points.length) Plotly.restyle("plot", {"marker.size": pointSize(),
+      "marker.color": points.map(k => parts[k].rows.map(pointColour))}, points);
+  };
+  let matrixDrawn = false;
+  const drawMatrix = () => {
+    if (matrixDrawn || !stageOf().matrixPlot) return;
+    matrixDrawn = true;
+    Plotly.newPlot("flat", ...stageOf().matrixPlot(), {responsive: true, displayModeBar: false});
+  };
+  const look = eye => {
+    const stage = stageOf();
+    if (state.stage !== "isovist" || !stage.of.includes(eye)) return;
+    stage.chosen = eye;
+    for (const k of which("eyes").filter(k => parts[k].stage === "isovist")) {
+      const {size, color} = parts[k].look(parts[k].ids);
+      Plotly.restyle("plot", {"marker.size": [size], "marker.color": [color]}, [k]);
+    }
+    const ring = which("ring"), places = parts[ring[0]].ring();
+    Plotly.restyle("plot", {x: [places.x], y: [places.y], z: [places.z]}, ring);
+    recolour(); legend();
+  };
   const redraw = () => Plotly.restyle("plot", {visible: parts.map(shown)});
   Plotly.newPlot("plot", traces, layout, {responsive: true, displaylogo: false}).then(plot => {
     document.body.dataset.state = "drawn";
     document.body.dataset.traces = String(plot.data.length);
-    plot.on("plotly_click", event => select(event.points[0].customdata));
+    drawMatrix();
+    plot.on("plotly_click", event => {
+      const point = event.points[0];
+      if (point.data.meta === "eyes") look(point.customdata); else select(point.customdata);
+    });
+    at("stage").onchange = event => {
+      state.stage = event.target.value; nameStage(); remember(); redraw(); recolour(); drawMatrix();
+    };
+    at("pair").onchange = event => { state.pair = Number(event.target.value); remember(); redraw(); };
     at("storey").oninput = event => {
       state.storey = Number(event.target.value); nameStorey(); remember(); redraw();
     };
@@ -132,8 +201,7 @@
     at("graph").onchange = redraw;
     at("colour").onchange = event => {
       state.colour = event.target.value; legend(); remember();
-      const which = parts.flatMap((part, k) => part.kind === "points" ? [k] : []);
-      Plotly.restyle("plot", {"marker.color": which.map(k => parts[k].rows.map(colours[state.colour]))}, which);
+      recolour();
     };
   }).catch(error => problem(String(error)));
 })();

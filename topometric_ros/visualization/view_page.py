@@ -6,18 +6,18 @@ policy forbids it to fetch anything.
 
 from __future__ import annotations
 
-import base64
 import json
 import re
+from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topometric_ros.topometric_map import Room
 from topometric_ros.visualization.figures import hex_colour
 from topometric_ros.visualization.page import number, text
+from topometric_ros.visualization.page_stages import base64_of
 from topometric_ros.visualization.view import (
     Match,
     View,
@@ -32,8 +32,8 @@ GRAPH_HEIGHT = 2.3
 """Height in metres above a storey's floor at which its part of the graph is drawn."""
 
 
-def view_html(view: View) -> str:
-    """Return the page of a view."""
+def view_html(view: View, stages: Mapping[str, Any] | None = None) -> str:
+    """Return the page of a view; `stages` is what `page_stages` made of it."""
     from plotly.offline import get_plotlyjs
 
     m = view.map
@@ -44,12 +44,14 @@ def view_html(view: View) -> str:
     words.append(f"{len(m.voxels):,} voxels of {number(m.voxel_size, 2, 'm')}")
     summary = ", ".join(words)
     # "</" would end the element, and nothing in the data may do that.
-    data = json.dumps(_data(view, view_points(view)), allow_nan=False).replace("</", "<\\/")
+    content = {**_data(view, view_points(view)), "stages": stages or {}}
+    data = json.dumps(content, allow_nan=False).replace("</", "<\\/")
     parts = {
         "@TITLE@": text(view.title),
         "@SUMMARY@": text(summary),
         "@MATCHES@": _matches(view.matches),
         "@DATA@": data,
+        "@STAGES@": (folder / "view_stages.js").read_text(encoding="utf-8"),
         "@SCRIPT@": (folder / "view_page.js").read_text(encoding="utf-8"),
         "@PLOTLY@": get_plotlyjs(),
     }
@@ -77,11 +79,11 @@ def _data(view: View, points: ViewPoints) -> dict[str, Any]:
         edges.append({"storeys": sorted(set(ends)), "path": path})
     return {
         "points": {
-            "xyz": _base64(points.xyz.astype("<f4")),
-            "room": _base64(points.room.astype("<i4")),
-            "storey": _base64(points.storey),
-            "observers": _base64(points.observers),
-            "upper": _base64(points.upper.astype(np.uint8)),
+            "xyz": base64_of(points.xyz.astype("<f4")),
+            "room": base64_of(points.room.astype("<i4")),
+            "storey": base64_of(points.storey),
+            "observers": base64_of(points.observers),
+            "upper": base64_of(points.upper.astype(np.uint8)),
         },
         "classes": [{"name": n, "colour": hex_colour(c)} for n, c in points.classes],
         "storeys": [
@@ -148,7 +150,3 @@ def _matches(matches: tuple[Match, ...]) -> str:
         for match in matches
     )
     return f'<h2>Matches</h2><div id="matches">{body}</div>'
-
-
-def _base64(array: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
