@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+
 import numpy as np
+import pytest
 
 from test.helpers import yaw_transform
 from topometric_ros.alignment import Alignment, AlignmentStatus
@@ -16,6 +20,7 @@ PLACES = {
     "d": yaw_transform(3.0, (-7.0, 2.0, 0.0)),
 }
 AGENTS = tuple(PLACES)
+HERE = {agent: np.zeros(3) for agent in PLACES}
 
 
 def edge(x: str, y: str, confidence: float = 0.8, off: np.ndarray | None = None) -> Alignment:
@@ -52,12 +57,17 @@ def test_alignments_that_are_not_accepted_join_nothing() -> None:
     assert group_agents(("a", "b"), [refused], GroupsConfig()).group == (0, 1)
 
 
-def test_the_tree_prefers_confident_alignments() -> None:
+def test_alignments_that_agree_are_averaged_by_their_covariance() -> None:
     slight = yaw_transform(0.0, (0.1, 0.0, 0.0))
-    alignments = [edge("a", "b", 0.9), edge("a", "c", 0.6, slight), edge("b", "c", 0.9)]
-    groups = group_agents(AGENTS[:3], alignments, GroupsConfig())
-    np.testing.assert_allclose(groups.T_group_agent[2], PLACES["c"], atol=1e-12)
-    assert all(x.accepted for x in groups.alignments)
+    sure = np.diag([0.01**2] * 3 + [0.001**2] * 3)
+    vague = 100.0 * sure
+    for covariance, least, most in ((sure, 0.03, 0.095), (vague, 0.0, 0.02)):
+        direct = dataclasses.replace(edge("a", "c", 0.6, slight), covariance=covariance)
+        others = [dataclasses.replace(edge(*p), covariance=sure) for p in (("a", "b"), ("b", "c"))]
+        groups = group_agents(AGENTS[:3], [direct, *others], GroupsConfig(), centres=HERE)
+        off = np.linalg.norm(groups.T_group_agent[2][:3, 3] - PLACES["c"][:3, 3])
+        assert least <= off < most
+        assert all(x.accepted for x in groups.alignments)
 
 
 def test_the_least_confident_edge_of_a_cycle_that_does_not_close_is_withdrawn() -> None:
@@ -101,3 +111,78 @@ def test_the_gap_of_a_cycle_is_read_where_the_maps_are() -> None:
     )
     groups = group_agents(AGENTS[:3], alignments, GroupsConfig(), centres={"c": far})
     assert all(x.accepted for x in groups.alignments)
+
+
+def test_nobody_can_tell_which_of_three_like_alignments_is_wrong() -> None:
+    wrong = yaw_transform(0.0, (2.0, 0.0, 0.0))
+    alignments = [edge("a", "b", 0.8), edge("b", "c", 0.82), edge("a", "c", 0.81, wrong)]
+    groups = group_agents(AGENTS[:3], alignments, GroupsConfig())
+    assert groups.group == (0, 1, 2)
+    assert "nothing else tells" in " ".join(x.reason for x in groups.alignments)
+    sure = [edge("a", "b", 0.95), edge("b", "c", 0.95), edge("a", "c", 0.6, wrong)]
+    assert group_agents(AGENTS[:3], sure, GroupsConfig()).group == (0, 0, 0)
+
+
+def fleet(noise: float, poisoned: dict[tuple[int, int], np.ndarray]) -> tuple[list, list, dict]:
+    """Return (agents, alignments of all pairs, true places) of ten agents, some pairs wrong.
+
+    `noise` is in m, and in rad by a tenth; what is poisoned is the most confident of all.
+    """
+    rng = np.random.default_rng(5)
+    agents = [f"r{k}" for k in range(10)]
+    places = {
+        agent: yaw_transform(rng.uniform(-np.pi, np.pi), rng.uniform(-30, 30, 3) * (k > 0))
+        for k, agent in enumerate(agents)
+    }
+    alignments = []
+    for i, j in itertools.combinations(range(10), 2):
+        T = inverse(places[agents[i]]) @ places[agents[j]]
+        off = yaw_transform(rng.normal(0.0, noise / 10), rng.normal(0.0, noise, 3))
+        T = T @ poisoned.get((i, j), off)
+        confidence = 0.99 if (i, j) in poisoned else float(rng.uniform(0.6, 0.9))
+        pair = (agents[i], agents[j])
+        alignments.append(
+            Alignment(pair, AlignmentStatus.ACCEPTED, "", T_a_b=T, confidence=confidence)
+        )
+    return agents, alignments, places
+
+
+@pytest.mark.parametrize(
+    "poisoned",
+    [
+        {
+            (0, 1): yaw_transform(np.pi, (3.0, 1.0, 0.0)),
+            (2, 7): yaw_transform(0.0, (0.0, 2.5, 0.0)),
+            (4, 9): yaw_transform(0.0, (0.0, 0.0, 3.0)),
+        },
+        # Three that agree with each other: agent 9 one storey too high for 0, 1 and 2.
+        {(k, 9): yaw_transform(0.0, (0.0, 0.0, 3.0)) for k in range(3)},
+    ],
+    ids=["apart", "conspiring"],
+)
+def test_three_poisoned_alignments_of_ten_agents_are_found(
+    poisoned: dict[tuple[int, int], np.ndarray],
+) -> None:
+    agents, alignments, places = fleet(0.01, poisoned)
+    groups = group_agents(agents, alignments, GroupsConfig())
+    found = {x.agents for x in groups.alignments if x.status is AlignmentStatus.WITHDRAWN}
+    assert found == {(agents[i], agents[j]) for i, j in poisoned}
+    assert set(groups.group) == {0}
+    for agent, T in zip(agents, groups.T_group_agent, strict=True):
+        expected = inverse(places["r0"]) @ places[agent]
+        assert np.linalg.norm((T - expected)[:3, 3]) < 0.05
+
+
+def test_a_group_whose_input_is_not_z_up_turns_about_its_own_vertical() -> None:
+    """The same building seen in frames with y up gives the same answer."""
+    upright = np.eye(4)
+    upright[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    agents, alignments, _ = fleet(0.01, {})
+    tilted = [
+        dataclasses.replace(x, T_a_b=inverse(upright) @ x.T_a_b @ upright) for x in alignments
+    ]
+    levels = dict.fromkeys(agents, upright)
+    straight = group_agents(agents, alignments, GroupsConfig())
+    turned = group_agents(agents, tilted, GroupsConfig(), levels=levels)
+    for T, U in zip(straight.T_group_agent, turned.T_group_agent, strict=True):
+        np.testing.assert_allclose(inverse(upright) @ T @ upright, U, atol=1e-9)

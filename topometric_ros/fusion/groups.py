@@ -1,8 +1,9 @@
 """From alignments of pairs to groups of agents in one frame each.
 
-Accepted alignments are the edges of a graph. A spanning tree of the most confident ones carries the
-transforms; every other edge closes a cycle and must agree with the chain round it. Where one does
-not, something in the cycle is wrong, and its least confident edge is withdrawn.
+Accepted alignments are the links of a graph, and every cycle of it is a check that costs nothing.
+Where the links of a cycle disagree, a robust pose graph finds the ones that the others speak
+against; they are withdrawn. Where too few others speak, nobody can tell which link is wrong: then
+every one that is hardly more confident than the one withdrawn goes too. What is left is averaged.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 
 from topometric_ros.alignment import Alignment, AlignmentStatus
 from topometric_ros.configuration import parameter
-from topometric_ros.fusion.poses import Transform, angle, apply, inverse
+from topometric_ros.fusion.pose_graph import Link, Misfit, misfit, optimised, switched_on
+from topometric_ros.fusion.poses import Transform, inverse
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,24 @@ class GroupsConfig:
 
     cycle_distance: float = parameter(
         0.3,
-        "Largest gap at the end of a cycle of three; each further edge allows a third of it more.",
+        "Largest gap between an alignment and what the others make of it, read at the middle of "
+        "the map.",
         unit="m",
-        minimum=0.0,
+        minimum=0.001,
     )
     cycle_angle: float = parameter(
-        3.0, "Largest turn left at the end of a cycle.", unit="degree", minimum=0.0, maximum=180.0
+        3.0,
+        "Largest turn between an alignment and what the others make of it.",
+        unit="degree",
+        minimum=0.001,
+        maximum=180.0,
+    )
+    cycle_margin: float = parameter(
+        0.1,
+        "Confidence by which an alignment that no other supports must exceed the one withdrawn "
+        "from its cycle, or it is withdrawn too.",
+        minimum=0.0,
+        maximum=1.0,
     )
 
 
@@ -50,12 +64,26 @@ class Groups:
     alignments: tuple[Alignment, ...]
 
 
+@dataclass(frozen=True)
+class _Agents:
+    """What is known of the agents: the middle of each map and which way is up in its frame."""
+
+    middles: Mapping[str, NDArray[np.float64]]
+    levels: Mapping[str, Transform]
+    by_hand: frozenset[tuple[str, str]]
+
+    def level(self, agent: str) -> Transform:
+        """Return the agent's T_level_input."""
+        return self.levels.get(agent, np.eye(4))
+
+
 def group_agents(
     agents: Sequence[str],
     alignments: Sequence[Alignment],
     config: GroupsConfig,
     fixed: frozenset[tuple[str, str]] = frozenset(),
     centres: Mapping[str, NDArray[np.float64]] | None = None,
+    levels: Mapping[str, Transform] | None = None,
 ) -> Groups:
     """Group agents by their accepted alignments.
 
@@ -67,104 +95,163 @@ def group_agents(
     fixed : pairs set by hand, which are never withdrawn
     centres : middle of each agent's map (3,), m, its own input frame, where the gap at the end of a
         cycle is read; at the origin of the frame a turn would count by its distance from the map
+    levels : T_level_input of each agent; identity where missing
     """
+    known = _Agents(centres or {}, levels or {}, fixed)
     alignments = list(alignments)
-    while True:
-        graph = _graph(agents, alignments, fixed)
-        tree = nx.maximum_spanning_tree(graph, weight="weight")
-        withdrawn = _contradiction(graph, tree, alignments, config, fixed, centres or {})
-        if withdrawn is None:
-            return _placed(agents, tree, alignments)
-        index, reason = withdrawn
-        alignments[index] = dataclasses.replace(
-            alignments[index], status=AlignmentStatus.WITHDRAWN, reason=reason
-        )
+    order = {agent: k for k, agent in enumerate(agents)}
+    group: dict[str, int] = {}
+    placed: dict[str, Transform] = {}
+    # Withdrawing may cut a group in two, each of which is then looked at by itself.
+    waiting = [sorted(c, key=order.__getitem__) for c in _components(agents, alignments, known)]
+    while waiting:
+        members = waiting.pop()
+        graph = _graph(members, alignments, known)
+        poses, withdrawn = _solved(members, graph, alignments, config, known)
+        for index, reason in withdrawn.items():
+            alignments[index] = dataclasses.replace(
+                alignments[index], status=AlignmentStatus.WITHDRAWN, reason=reason
+            )
+        parts = list(_components(members, alignments, known))
+        if len(parts) > 1:
+            waiting += [sorted(part, key=order.__getitem__) for part in parts]
+            continue
+        placed |= poses
+        group |= dict.fromkeys(members, order[members[0]])
+    numbers = {first: k for k, first in enumerate(sorted(set(group.values())))}
+    return Groups(
+        tuple(numbers[group[agent]] for agent in agents),
+        tuple(placed[agent] for agent in agents),
+        tuple(alignments),
+    )
 
 
-def _graph(
-    agents: Sequence[str], alignments: Sequence[Alignment], fixed: frozenset[tuple[str, str]]
-) -> nx.Graph:
+def _components(
+    agents: Sequence[str], alignments: Sequence[Alignment], known: _Agents
+) -> list[set[str]]:
+    return list(nx.connected_components(_graph(agents, alignments, known)))
+
+
+def _graph(agents: Sequence[str], alignments: Sequence[Alignment], known: _Agents) -> nx.Graph:
     """Return the graph of accepted alignments; of two for one pair the more confident."""
     graph = nx.Graph()
     graph.add_nodes_from(agents)
     for index, alignment in enumerate(alignments):
-        if not alignment.accepted or alignment.T_a_b is None:
-            continue
-        weight = 2.0 if alignment.agents in fixed else alignment.confidence
         a, b = alignment.agents
+        if not alignment.accepted or alignment.T_a_b is None or a not in graph or b not in graph:
+            continue
+        weight = 2.0 if alignment.agents in known.by_hand else alignment.confidence
         if not graph.has_edge(a, b) or graph[a][b]["weight"] < weight:
             graph.add_edge(a, b, weight=weight, index=index)
     return graph
 
 
-def _chain(tree: nx.Graph, alignments: Sequence[Alignment], path: Sequence[str]) -> Transform:
-    """Return the transform from the last agent of a path to the first."""
-    T = np.eye(4)
-    for a, b in pairwise(path):
-        alignment = alignments[tree[a][b]["index"]]
-        assert alignment.T_a_b is not None
-        T = T @ (alignment.T_a_b if alignment.agents == (a, b) else inverse(alignment.T_a_b))
-    return T
-
-
-def _contradiction(
+def _solved(
+    members: Sequence[str],
     graph: nx.Graph,
-    tree: nx.Graph,
     alignments: Sequence[Alignment],
     config: GroupsConfig,
-    fixed: frozenset[tuple[str, str]],
-    centres: Mapping[str, NDArray[np.float64]],
-) -> tuple[int, str] | None:
-    """Return the edge to withdraw and why, or None where every cycle closes."""
-    for a, b in sorted(graph.edges):
-        if tree.has_edge(a, b):
-            continue
-        path = nx.shortest_path(tree, a, b)
-        direct = _chain(graph, alignments, [a, b])
-        left = inverse(_chain(tree, alignments, path)) @ direct
-        centre = centres.get(b, np.zeros(3))
-        gap = float(np.linalg.norm(apply(left, centre) - centre))
-        turn = float(np.degrees(angle(left)))
-        allowed = config.cycle_distance * max(3, len(path)) / 3
-        if gap <= allowed and turn <= config.cycle_angle:
-            continue
-        ring = [*pairwise(path), (a, b)]
-        loose = [
-            edge for edge in ring if alignments[graph.edges[edge]["index"]].agents not in fixed
-        ]
-        if not loose:
-            continue
-        weakest = min(loose, key=lambda edge: (graph.edges[edge]["weight"], -ring.index(edge)))
-        reason = (
-            f"contradicts the cycle {' - '.join([*path, a])}: it ends {gap:.2f} m and {turn:.1f}° "
-            f"off, {allowed:.2f} m and {config.cycle_angle:g}° are allowed, and this is its least "
-            f"confident alignment ({alignment_confidence(alignments, graph, weakest):.2f})"
+    known: _Agents,
+) -> tuple[dict[str, Transform], dict[int, str]]:
+    """Place the agents of one component; also the alignments to withdraw, with the reasons."""
+    edges = sorted(graph.edges, key=lambda edge: graph.edges[edge]["index"])
+    tree = nx.maximum_spanning_tree(graph, weight="weight")
+    poses = _chained(members, tree, alignments, known)
+    if len(edges) >= len(members):
+        links = [_link(members, alignments[graph.edges[e]["index"]], known) for e in edges]
+        middles = np.array([known.middles.get(agent, np.zeros(3)) for agent in members])
+        limits = (config.cycle_distance, np.radians(config.cycle_angle))
+        confidence = np.array([min(graph.edges[e]["weight"], 1.0) for e in edges])
+        # Many outvote one that is surer; between equals the surer one stays.
+        trust = 0.5 + confidence
+        belief = switched_on(poses, links, middles, limits, trust)
+        for edge, weight in zip(edges, belief, strict=True):
+            on = graph.edges[edge]["weight"] >= 2.0 or weight >= 0.5
+            graph.edges[edge]["belief"] = graph.edges[edge]["weight"] + (4.0 if on else 0.0)
+        tree = nx.maximum_spanning_tree(graph, weight="belief")
+        poses = _chained(members, tree, alignments, known)
+        poses, misfits = _averaged(poses, links, middles, limits)
+        wrong = {e: m for e, m in zip(edges, misfits, strict=True) if m is not None}
+        withdrawn = _withdrawn(graph, wrong, alignments, config, known)
+    else:
+        withdrawn = {}
+    to_input = inverse(known.level(members[0]))
+    return {agent: to_input @ P for agent, P in zip(members, poses, strict=True)}, withdrawn
+
+
+def _link(members: Sequence[str], alignment: Alignment, known: _Agents) -> Link:
+    a, b = alignment.agents
+    assert alignment.T_a_b is not None
+    fixed = alignment.agents in known.by_hand
+    numbers = members.index(a), members.index(b)
+    return Link(*numbers, alignment.T_a_b, alignment.covariance, fixed)
+
+
+def _chained(
+    members: Sequence[str], tree: nx.Graph, alignments: Sequence[Alignment], known: _Agents
+) -> list[Transform]:
+    """Return each agent's pose in the level frame of the first, along the tree."""
+    start = known.level(members[0])
+    paths = nx.single_source_shortest_path(tree, members[0])
+    poses = []
+    for agent in members:
+        T = start
+        for a, b in pairwise(paths[agent]):
+            alignment = alignments[tree[a][b]["index"]]
+            assert alignment.T_a_b is not None
+            T = T @ (alignment.T_a_b if alignment.agents == (a, b) else inverse(alignment.T_a_b))
+        poses.append(T)
+    return poses
+
+
+def _averaged(
+    poses: list[Transform],
+    links: Sequence[Link],
+    middles: NDArray[np.float64],
+    limits: tuple[float, float],
+) -> tuple[list[Transform], list[Misfit | None]]:
+    """Average the links that agree with the poses; return the misfit of each that does not."""
+    agreed: list[int] = []
+    while True:
+        found = [misfit(link, poses, middles) for link in links]
+        near = [k for k, m in enumerate(found) if m.gap <= limits[0] and m.turn <= limits[1]]
+        near = sorted({*near, *(k for k, link in enumerate(links) if link.fixed)})
+        if near == agreed or set(near) < set(agreed):
+            break
+        agreed = near
+        poses = optimised(poses, [links[k] for k in agreed], middles)
+    return poses, [None if k in agreed else m for k, m in enumerate(found)]
+
+
+def _withdrawn(
+    graph: nx.Graph,
+    wrong: Mapping[tuple[str, str], Misfit],
+    alignments: Sequence[Alignment],
+    config: GroupsConfig,
+    known: _Agents,
+) -> dict[int, str]:
+    """Return the alignments to withdraw by index, with the reasons."""
+    agreed = graph.copy()
+    agreed.remove_edges_from(wrong)
+    unsupported = {frozenset(edge) for edge in nx.bridges(agreed)}
+    result: dict[int, str] = {}
+    for (a, b), off in wrong.items():
+        entry = graph.edges[a, b]
+        path = nx.shortest_path(agreed, a, b) if nx.has_path(agreed, a, b) else [a, b]
+        cycle = " - ".join([*path, a])
+        result[entry["index"]] = (
+            f"contradicts the cycle {cycle}: it is {off.gap:.2f} m and "
+            f"{np.degrees(off.turn):.1f}° off what the others say, {config.cycle_distance:g} m and "
+            f"{config.cycle_angle:g}° are allowed (confidence {entry['weight']:.2f})"
         )
-        return graph.edges[weakest]["index"], reason
-    return None
-
-
-def alignment_confidence(
-    alignments: Sequence[Alignment], graph: nx.Graph, edge: tuple[str, str]
-) -> float:
-    """Return the confidence of the alignment that an edge of the graph stands for."""
-    return alignments[graph.edges[edge]["index"]].confidence
-
-
-def _placed(agents: Sequence[str], tree: nx.Graph, alignments: Sequence[Alignment]) -> Groups:
-    """Number the groups by their first agents and chain the transforms to those."""
-    group: dict[str, int] = {}
-    placed: dict[str, Transform] = {}
-    number = 0
-    for first in agents:
-        if first in group:
-            continue
-        for agent, path in nx.single_source_shortest_path(tree, first).items():
-            group[agent] = number
-            placed[agent] = _chain(tree, alignments, path)
-        number += 1
-    return Groups(
-        tuple(group[agent] for agent in agents),
-        tuple(placed[agent] for agent in agents),
-        tuple(alignments),
-    )
+        for edge in pairwise(path):
+            other = graph.edges[edge]
+            close = other["weight"] - entry["weight"] < config.cycle_margin
+            if frozenset(edge) in unsupported and close and other["weight"] < 2.0:
+                result.setdefault(
+                    other["index"],
+                    f"the cycle {cycle} does not close and nothing else tells which of its "
+                    f"alignments is wrong; this one is hardly more confident "
+                    f"({other['weight']:.2f}) than the least ({entry['weight']:.2f})",
+                )
+    return result

@@ -76,7 +76,8 @@ def merge(
         alignments.append(alignment)
     agents = [m.agent for m in maps]
     by_hand = frozenset(pair for x, y in (fixed or {}) for pair in ((x, y), (y, x)))
-    groups = group_agents(agents, alignments, config.groups, by_hand, _centres(maps))
+    levels = {m.agent: m.T_level_input for m in maps}
+    groups = group_agents(agents, alignments, config.groups, by_hand, _centres(maps), levels)
     places = _placements(maps, groups, sources or {})
     with watch.stage("fusion"):
         if progress is not None:
