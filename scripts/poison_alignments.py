@@ -45,7 +45,7 @@ def main() -> None:
     case = simulate(load_building(args.building), wanted, args.seed)
     config = load_config("default")
     maps = [
-        extract_map(agent.points, config.extraction, config.matching, agent=agent.id).map
+        extract_map(agent.points, config.extraction, config.merge.matching, agent=agent.id).map
         for agent in case.agents
     ]
     clean = merge(maps, config.merge)
