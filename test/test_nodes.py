@@ -253,6 +253,7 @@ def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
     own: Graph, start: Any, tmp_path: Path
 ) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
+    from nav_msgs.msg import OccupancyGrid
     from tf2_msgs.msg import TFMessage
     from topometric_msgs.msg import TopometricMap
 
@@ -264,6 +265,7 @@ def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
     process = start(MERGER, "-p", "agents:=[/a, /b]", "-p", "max_rate:=10.0")
     transforms = own.subscribe(TFMessage, "/tf", qos.TRANSFORMS)
     diagnostics = own.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+    grids = own.subscribe(OccupancyGrid, "/global_grid", qos.SNAPSHOT)
     publisher = own.node.create_publisher(TopometricMap, "/a/topometric_map", qos.SNAPSHOT)
 
     def children() -> set[str]:
@@ -291,6 +293,12 @@ def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
     assert process.log.count("refused") == 1
     publisher.publish(message)
     assert children() == {"map"}
+    grid = wait_for(lambda: grids.last if len(grids) else None, 20.0, "global_grid", (process,))
+    assert grid.header.frame_id == "global"
+    seen = np.array(grid.data).reshape(grid.info.height, grid.info.width)
+    floor = (seen == 0).sum() * grid.info.resolution**2
+    assert floor == pytest.approx(4.0 * 5.0, rel=0.2), "the free floor of a room of 4 m x 5 m"
+    assert (seen[:, [0, -1]] != 0).all(), "closed off by walls"
 
     path = tmp_path / "b.tmap"
     save_map(path, small_map("b", (7.0, 3.0, 2.9)))

@@ -79,3 +79,9 @@ class MergerNodeConfig:
     tf_rate: float = parameter(
         10.0, "Rate at which /tf is stamped anew.", unit="Hz", minimum=0.1, maximum=1000.0
     )
+    grid_storey: int = parameter(
+        -1,
+        "Storey that `global_grid` shows, by its id; -1: the one of which most floor was seen.",
+        minimum=-1,
+        maximum=1000,
+    )

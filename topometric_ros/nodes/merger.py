@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
@@ -23,6 +24,7 @@ from topometric_ros.nodes import parameters, qos, tf
 from topometric_ros.nodes.agent_names import parse_agents
 from topometric_ros.nodes.config import MergerNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
+from topometric_ros.nodes.grids import GridError, storey_grid
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.merger_services import serve
@@ -41,7 +43,7 @@ _PACE_S = 0.2
 _REPORT_S = 1.0
 _END_S = 3.0
 
-_CHANGEABLE_OF_NODE = ("max_rate",)
+_CHANGEABLE_OF_NODE = ("max_rate", "grid_storey")
 
 
 class Merger(TopometricNode):
@@ -63,6 +65,7 @@ class Merger(TopometricNode):
         self.working = threading.Lock()
         self.fresh = False
         self._last_merge = -float("inf")
+        self._grid_failure = ""
         self._placed: dict[str, NDArray[np.float64]] = {}
         self._frames: dict[str, str] = {}
         self._worker = Worker(self._work, self.failed)
@@ -88,6 +91,7 @@ class Merger(TopometricNode):
             self.create_subscription(MapMessage, topic, receive, qos.SNAPSHOT)
         self._maps = self.create_publisher(MapMessage, "global_map", qos.SNAPSHOT)
         self._cloud = self.create_publisher(PointCloud2, "global_cloud", qos.SNAPSHOT)
+        self._grid = self.create_publisher(OccupancyGrid, "global_grid", qos.SNAPSHOT)
         self._alignments = self.create_publisher(AlignmentArray, "alignments", qos.SNAPSHOT)
         self._markers = self.create_publisher(MarkerArray, "global_markers", qos.SNAPSHOT)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
@@ -170,11 +174,24 @@ class Merger(TopometricNode):
         self._maps.publish(map_to_message(fused.map, self._classes, fused.agents, observers))
         self._cloud.publish(map_cloud(fused.map, self._classes, fused.map.stamp, fused.agents))
         self._markers.publish(map_markers(fused.map, stamp))
+        self._publish_grid(fused.map)
         self._alignments.publish(
             alignments_to_message(
                 result, self._classes, now.nanoseconds, self.session.maps, self.session.stale
             )
         )
+
+    def _publish_grid(self, m: TopometricMap) -> None:
+        try:
+            grid = storey_grid(m, self._own.grid_storey, self._wanted.global_frame)
+        except GridError as error:
+            if str(error) != self._grid_failure:
+                self.get_logger().error(str(error))
+            self._grid_failure = str(error)
+            return
+        self._grid_failure = ""
+        if grid is not None:
+            self._grid.publish(grid)
 
     def place(self) -> None:
         """Note the transforms to publish: those of agents whose place is known now."""
