@@ -14,22 +14,22 @@ _ROOM = box_room((0, 0, 0), (5, 4, 2.6), step=0.1)
 
 
 def test_an_ordinary_cloud_is_untouched() -> None:
-    points, warnings = without_strays(_ROOM)
+    points, findings = without_strays(_ROOM)
     assert points is _ROOM
-    assert warnings == ()
+    assert findings == ()
     assert not anchor(_ROOM + (900, -900, 30)).any()
 
 
 @pytest.mark.parametrize("place", [(500, 300, 40), (0, 0, 1e5), (1e9, 0, 0), (1.7e308, -1e308, 0)])
 def test_a_stray_point_far_away_is_dropped_and_told(place: tuple[float, float, float]) -> None:
-    points, warnings = without_strays(np.concatenate([_ROOM, [place]]))
+    points, findings = without_strays(np.concatenate([_ROOM, [place]]))
     np.testing.assert_array_equal(points, _ROOM)
-    assert "1 of" in warnings[0]
+    assert "1 of" in findings[0].message
 
 
-@pytest.mark.parametrize("scale", [100, 1000])
-def test_other_units_are_asked_about(scale: float) -> None:
-    with pytest.raises(ExtractionError, match=r"spans .* is it in metres"):
+@pytest.mark.parametrize(("scale", "unit"), [(100, "0.01$"), (1000, "0.001$")])
+def test_other_units_are_named(scale: float, unit: str) -> None:
+    with pytest.raises(ExtractionError, match=rf"spans .* use --scale {unit}"):
         without_strays(box_room((0, 0, 0), (9, 9, 2.6), step=0.1) * scale)
 
 

@@ -45,7 +45,7 @@ def test_a_tilt_is_undone_to_a_twentieth_of_a_degree(
     up = (level.T_level_input @ T)[:3, 2]
     assert np.degrees(np.arccos(min(1.0, up[2]))) < 0.05
     assert np.degrees(level.tilt) == pytest.approx(angle, abs=0.05)
-    assert f"{angle:.1f}°" in level.warnings[0]
+    assert f"{angle:.1f}°" in str(level.findings[0])
     R = level.T_level_input[:3, :3]
     assert np.allclose(R @ R.T, np.eye(3))
     assert np.linalg.det(R) == pytest.approx(1.0)
@@ -68,7 +68,7 @@ def test_a_level_house_stays_as_it_is(extra: NDArray[np.float64], yaw: float) ->
     level = estimate_level(points, LevelConfig())
     assert np.array_equal(level.T_level_input, np.eye(4))
     assert level.tilt == 0.0
-    assert level.warnings == ()
+    assert level.findings == ()
 
 
 def test_a_long_corridor_stays_as_it_is() -> None:
@@ -81,8 +81,8 @@ def test_a_small_tilt_is_told_and_left() -> None:
     points = moved(_HOUSE, _turn((1, 0, 0), 1.2))
     level = estimate_level(points, LevelConfig())
     assert np.array_equal(level.T_level_input, np.eye(4))
-    assert "1.2°" in level.warnings[0]
-    assert "level.smallest_tilt" in level.warnings[0]
+    assert "1.2°" in str(level.findings[0])
+    assert "level.smallest_tilt" in str(level.findings[0])
     assert estimate_level(points, LevelConfig(smallest_tilt=1.0)).tilt > 0.0
 
 
@@ -93,18 +93,18 @@ def test_levelling_can_be_switched_off() -> None:
 
 def test_another_axis_with_larger_layers_is_named() -> None:
     on_its_side = _HOUSE[:, [1, 2, 0]]
-    warning = estimate_level(on_its_side, LevelConfig()).warnings[0]
-    assert "use --up y" in warning
+    (finding,) = estimate_level(on_its_side, LevelConfig()).findings
+    assert "use --up y" in finding.advice
     with pytest.raises(ExtractionError, match=r"no floor found with z up.*use --up y"):
         estimate_level(on_its_side, LevelConfig(refusal_area=20.0, refusal=2.0))
-    assert estimate_level(on_its_side, LevelConfig(check_up=False)).warnings == ()
+    assert estimate_level(on_its_side, LevelConfig(check_up=False)).findings == ()
 
 
 def test_without_a_floor_the_option_is_named() -> None:
-    assert "use --up x" in str(no_floor(_slope(4, 4, 0, 0)[:, [2, 0, 1]]))
-    assert "--up x or --up y" in str(no_floor(_slope(1, 1, 0, 0)))
+    assert "use --up x" in str(no_floor(_slope(4, 4, 0, 0)[:, [2, 0, 1]], LevelConfig()))
+    assert "--up x or --up y" in str(no_floor(_slope(1, 1, 0, 0), LevelConfig()))
 
 
 def test_a_cloud_too_small_for_any_floor_is_asked_whether_it_is_in_metres() -> None:
-    assert "is it in metres?" in str(no_floor(np.zeros((1, 3))))
-    assert "0.00894 m x" in str(no_floor(_slope(9, 4, 0, 0) / 1000))
+    assert "is it in metres (--scale)?" in str(no_floor(np.zeros((1, 3)), LevelConfig()))
+    assert "0.00894 m x" in str(no_floor(_slope(9, 4, 0, 0) / 1000, LevelConfig()))

@@ -11,6 +11,7 @@ import pytest
 
 from test.helpers_visualization import demo_maps, demo_truth, merged_result, unmerged_result
 from topometric_ros.alignment import AlignmentStatus, GlobalMap, MergeResult
+from topometric_ros.extraction.quality import Finding, Quality
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.visualization.agreement import AGREES, CONFLICTS, OWN, compare
 from topometric_ros.visualization.figures import global_figure, map_figure
@@ -107,6 +108,18 @@ def alone():
 def test_timings_appear_only_when_given(merged_page):
     assert "Timings" not in merged_page
     assert "0.25" in report_html(alone(), [empty_map()], {"search": 0.25})
+
+
+def test_an_extraction_s_quality_appears_with_what_to_do(merged_page):
+    quality = Quality(
+        *(100, 50, 1, 2, 1, 20.0, {"all": 0.1}, 0.9, 0.8, (((0, 1), 20.0),)),
+        *(0.01, 0.9, 0.5, 1.0, 0.07, None, 2.5),
+        findings=(Finding("sparse", "warning", "points lie apart", "use --voxel-size 0.2"),),
+    )
+    html = report_html(merged_result(), demo_maps(), qualities={"robot1": quality})
+    assert "quality of the extraction" not in merged_page
+    assert html.count("quality of the extraction") == 1
+    assert "use --voxel-size 0.2" in html
 
 
 @pytest.mark.parametrize("status", list(AlignmentStatus))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from topometric_ros.runtime.agents_file import MODES
 
 if TYPE_CHECKING:
+    from topometric_ros.extraction.quality import Quality
     from topometric_ros.runtime.config import ToolConfig
     from topometric_ros.runtime.sources import InputOptions
 
@@ -35,7 +36,17 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--voxel-size", type=float, metavar="M", help="edge of a voxel in metres (default 0.1)"
     )
     command.add_argument(
-        "--up", choices=("x", "y", "z"), default="z", help="axis of the clouds that points up"
+        "--up",
+        choices=("x", "y", "z", "-x", "-y", "-z"),
+        default="z",
+        help="axis of the clouds that points up; a negative one is written --up=-y",
+    )
+    command.add_argument(
+        "--scale",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help="length in metres of the unit that cloud files are in, as 0.001 for millimetres",
     )
     command.add_argument(
         "--mode",
@@ -72,7 +83,7 @@ def inputs_of(options: argparse.Namespace) -> InputOptions:
     """Return how the inputs are to be read."""
     from topometric_ros.runtime.sources import InputOptions
 
-    return InputOptions(options.up, options.mode, options.map_frame, options.seed)
+    return InputOptions(options.up, options.mode, options.map_frame, options.seed, options.scale)
 
 
 def output_folder(options: argparse.Namespace) -> Path:
@@ -108,3 +119,9 @@ def report(options: argparse.Namespace, content: Mapping[str, Any], lines: Itera
 def warning_lines(warnings: Iterable[str]) -> list[str]:
     """Return warnings as lines for a person."""
     return [f"warning: {warning}" for warning in warnings]
+
+
+def note_lines(quality: Quality | None) -> list[str]:
+    """Return what a map lacks though nobody need act, as lines for a person."""
+    notes = () if quality is None else (f for f in quality.findings if not f.is_warning)
+    return [f"note: {note}" for note in notes]

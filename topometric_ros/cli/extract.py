@@ -9,6 +9,7 @@ from topometric_ros.cli.common import (
     add_arguments,
     config_of,
     inputs_of,
+    note_lines,
     output_folder,
     progress_of,
     report,
@@ -51,7 +52,7 @@ def extract(options: argparse.Namespace) -> int:
     loaded = load_source(source, config, inputs_of(options), progress_of(options))
     folder = output_folder(options)
     m = loaded.map
-    summary = map_summary(m)
+    summary = map_summary(m, loaded.quality)
     timings = rounded_timings(loaded.timings)
     write_json(folder / "map.json", summary)
     write_rooms_ply(folder / "rooms.ply", m)
@@ -62,6 +63,7 @@ def extract(options: argparse.Namespace) -> int:
         f"{m.agent}: {len(m.rooms)} rooms, {len(m.passages)} passages, {len(m.storeys)} storeys, "
         f"{len(m.voxels)} voxels in {sum(loaded.timings.values()):.1f} s of CPU time",
         *warning_lines(m.warnings),
+        *note_lines(loaded.quality),
         f"written to {folder}",
     ]
     report(options, {**summary, "timings": timings}, lines)

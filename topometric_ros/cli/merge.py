@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from topometric_ros.errors import TopometricError
 
 if TYPE_CHECKING:
     from topometric_ros.alignment import MergeResult
+    from topometric_ros.extraction.quality import Quality
     from topometric_ros.io.trajectories import AgentTrajectory
     from topometric_ros.topometric_map import TopometricMap
 
@@ -68,7 +69,9 @@ def merge(options: argparse.Namespace) -> int:
     timings |= result.timings
     folder = output_folder(options)
     progress("writing the report")
-    write_result(folder, result, maps, timings, [e.trajectory for e in loaded if e.trajectory])
+    ways = [entry.trajectory for entry in loaded if entry.trajectory]
+    qualities = {entry.map.agent: entry.quality for entry in loaded if entry.quality}
+    write_result(folder, result, maps, timings, ways, qualities)
     content = {**merge_summary(result), "timings": rounded_timings(timings)}
     report(options, content, [*result_lines(result), f"written to {folder}"])
     return 0
@@ -80,6 +83,7 @@ def write_result(
     maps: list[TopometricMap],
     timings: dict[str, float],
     trajectories: Sequence[AgentTrajectory],
+    qualities: Mapping[str, Quality],
 ) -> None:
     """Write the files of a merge with the report."""
     from topometric_ros.io.merge_files import rounded_timings, write_merge_files
@@ -90,7 +94,7 @@ def write_result(
     write_merge_files(folder, result)
     write_trajectories(folder / "global.tmap", trajectories)
     write_json(folder / "timings.json", rounded_timings(timings))
-    write_report(result, maps, folder / "report.html")
+    write_report(result, maps, folder / "report.html", qualities=qualities)
 
 
 def result_lines(result: MergeResult) -> Iterator[str]:

@@ -55,7 +55,8 @@ def replay(options: argparse.Namespace) -> int:
     )
     progress("writing the report")
     maps, trajectories = list(replayed.maps), replayed.trajectories
-    write_result(folder, replayed.result, maps, replayed.timings, trajectories)
+    qualities = replayed.qualities
+    write_result(folder, replayed.result, maps, replayed.timings, trajectories, qualities)
     content = {
         **merge_summary(replayed.result),
         "timings": rounded_timings(replayed.timings),

@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 from topometric_ros.topometric_map import NO_ROOM, Passage, Room
 from topometric_ros.voxels.grid import VoxelGrid
 
-_MOST_WITHOUT_ROOM = 0.25
-"""A larger share of voxels without a room is worth a warning."""
-
 
 def assemble_rooms(
     grid: VoxelGrid,
@@ -78,13 +75,3 @@ def majority(group: NDArray[np.int64], labels: NDArray[np.int32]) -> NDArray[np.
     order = np.lexsort((codes, -counts, codes // width))
     first = np.unique((codes // width)[order], return_index=True)[1]
     return (codes[order[first]] % width - 1).astype(np.int32)
-
-
-def map_warnings(room: NDArray[np.int32]) -> tuple[str, ...]:
-    """Return what a reader of the map should know about its rooms."""
-    if not (room != NO_ROOM).any():
-        return ("no rooms found",)
-    without = float(np.mean(room == NO_ROOM))
-    if without > _MOST_WITHOUT_ROOM:
-        return (f"{without:.0%} of the voxels belong to no room",)
-    return ()

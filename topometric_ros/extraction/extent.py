@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from topometric_ros.extraction.errors import ExtractionError
+from topometric_ros.extraction.quality import Finding
+from topometric_ros.extraction.surfaces import likely_unit
 
 _FAR = 1000.0
 """A cloud whose middle lies farther from its origin is moved by whole multiples of this, m."""
@@ -29,11 +32,17 @@ _WIDEST = 360_000.0
 _TILE = 50.0
 """Edge in m of the tiles in which stray points are told: what adjoins no tile lies apart."""
 
+_ISLAND_TILE = 10.0
+_ISLAND_SHARE = 0.002
+_TWICE_AS_LARGE = 2.0
+
 _MOST_TILES = 20_000
 _STRAY_SHARE = 0.01
 
 
-def without_strays(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def without_strays(
+    points: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], tuple[Finding, ...]]:
     """Drop the few points that lie far from all others, where they make a cloud too wide.
 
     Reflections and misread ranges put points hundreds of metres outside a building; the rasters
@@ -46,7 +55,7 @@ def without_strays(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], tu
     Returns
     -------
     points : those that stay, in their order
-    warnings : how many were dropped, if any
+    findings : how many were dropped, if any
 
     Raises
     ------
@@ -65,12 +74,43 @@ def without_strays(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], tu
     if x * y > _WIDEST:
         raise ExtractionError(
             f"the cloud spans {x:.0f} m x {y:.0f} m x {z:.0f} m, at most {_WIDEST:.0f} m² can be "
-            "mapped: is it in metres, without points far outside the building?"
+            f"mapped: {_question(points)}"
         )
     if len(points) == total:
         return points, ()
     dropped = total - len(points)
-    return points, (f"{dropped} of {total} points lie far from all others and were dropped",)
+    return points, (_strays(dropped, total),)
+
+
+def without_islands(
+    points: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], tuple[Finding, ...]]:
+    """Drop the few points more than 10 m away from all others that make a cloud twice as large.
+
+    Parameters
+    ----------
+    points : (P, 3) float64, m, thinned, P > 0, no wider than :func:`without_strays` leaves them
+
+    Returns
+    -------
+    As :func:`without_strays`.
+    """
+    tile = np.floor((points - points.min(axis=0)) / _ISLAND_TILE).astype(np.int64)
+    shape = tile.max(axis=0) + 1
+    if shape.max() == 1:
+        return points, ()
+    flat = (tile[:, 0] * shape[1] + tile[:, 1]) * shape[2] + tile[:, 2]
+    counts = np.bincount(flat, minlength=int(shape.prod())).reshape(tuple(shape))
+    labels, number = ndimage.label(counts, np.ones((3, 3, 3), bool))
+    if number == 1:
+        return points, ()
+    largest = int(np.argmax(np.bincount(labels.ravel(), counts.ravel())[1:])) + 1
+    kept = labels.ravel()[flat] == largest
+    dropped = len(points) - int(np.count_nonzero(kept))
+    x, y, z = np.ptp(points, axis=0) / np.maximum(np.ptp(points[kept], axis=0), _ISLAND_TILE)
+    if dropped > _ISLAND_SHARE * len(points) or max(x * y, z) < _TWICE_AS_LARGE:
+        return points, ()
+    return points[kept], (_strays(dropped, len(points)),)
 
 
 def anchor(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -89,15 +129,30 @@ def anchor(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.round(middle / _FAR) * _FAR + 0.0)
 
 
-def moved_warnings(middle: NDArray[np.float64]) -> tuple[str, ...]:
+def _question(points: NDArray[np.float64]) -> str:
+    """Return what to ask of a cloud that is too wide."""
+    unit = likely_unit(points)
+    if unit is None:
+        return "is it in metres (--scale), without points far outside the building?"
+    name, length, height = unit
+    return f"in {name} its rooms would be {height:.2g} m high; use --scale {length:g}"
+
+
+def _strays(dropped: int, total: int) -> Finding:
+    message = f"{dropped} of {total} points lie far from all others and were dropped"
+    return Finding("strays", "warning", message)
+
+
+def moved_finding(middle: NDArray[np.float64]) -> tuple[Finding, ...]:
     """Return what to tell of a map whose level frame begins at `middle` (3,), m."""
     if not middle.any():
         return ()
     x, y, z = middle
-    return (
-        f"the cloud lies far from its frame's origin, so the map's level frame begins at "
-        f"({x:.0f}, {y:.0f}, {z:.0f}) m; T_level_input holds this",
+    message = (
+        "the cloud lies far from its frame's origin, so the map's level frame begins at "
+        f"({x:.0f}, {y:.0f}, {z:.0f}) m"
     )
+    return (Finding("far_frame", "warning", message, "T_level_input holds this"),)
 
 
 def _is_wide(low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:

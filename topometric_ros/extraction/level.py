@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.errors import ExtractionError
+from topometric_ros.extraction.quality import Finding
+from topometric_ros.extraction.surfaces import measure_surfaces, steepest_tilt
 from topometric_ros.voxels.grid import thin
 
 _CELL = 0.1
@@ -24,6 +26,13 @@ _FIT_BAND = 0.06
 _FIT_ROUNDS = 4
 _COARSE_STEP = 1.5
 _NOTICED_TILT = 0.5
+
+_MEASURABLE = 0.1
+_BUILT = 0.5
+"""Share of the points in measured blocks, and of those on thin surfaces, in any building."""
+
+_CLEARLY_LARGER = 1.1
+_STILL_TILTED = 5.0
 
 _SMALLEST_LAYER = 0.5
 """Area in m² below which nothing is a floor, whatever axis points up."""
@@ -65,7 +74,7 @@ class Level:
 
     T_level_input: NDArray[np.float64]
     tilt: float
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
@@ -88,33 +97,29 @@ def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
     cells = thin(points, _CELL)
     slope = _sharpest_slope(cells, config) if config.enabled else np.zeros(2)
     tilt = float(np.arctan(np.hypot(*slope)))
-    told = tilt_warnings(tilt)
+    told = tilt_findings(tilt)
     if 0.0 < np.degrees(tilt) < config.smallest_tilt:
-        told = (
-            f"the floor seems tilted by {np.degrees(tilt):.1f}° and was left so; set "
-            f"level.smallest_tilt, now {config.smallest_tilt:g}°, lower to level it",
-        )
+        message = f"the floor seems tilted by {np.degrees(tilt):.1f}° and was left so"
+        advice = f"set level.smallest_tilt, now {config.smallest_tilt:g}°, lower to level it"
+        told = (Finding("tilt", "warning", message, advice),)
         slope, tilt = np.zeros(2), 0.0
     T = np.eye(4)
     if tilt > 0.0:
         T[:3, :3] = _levelling_rotation(slope)
-    warnings = []
     if config.check_up:
-        warnings += _doubt_of_up(_largest_layers(cells, T[2, :3]), config)
-    return Level(T, tilt, (*warnings, *told))
+        told = (*_doubt_of_up(_largest_layers(cells, T[2, :3]), config), *told)
+    return Level(T, tilt, told)
 
 
-def tilt_warnings(tilt: float) -> tuple[str, ...]:
+def tilt_findings(tilt: float) -> tuple[Finding, ...]:
     """Return what to tell of a cloud that was turned by `tilt` (rad) to be level."""
     if tilt == 0.0:
         return ()
-    return (
-        f"the floor is tilted by {np.degrees(tilt):.1f}°, so the cloud was levelled first; "
-        "set level.enabled to false to take it as it is",
-    )
+    message = f"the floor is tilted by {np.degrees(tilt):.1f}°, so the cloud was levelled first"
+    return (Finding("tilt", "warning", message, "set level.enabled to false to take it as it is"),)
 
 
-def no_floor(points: NDArray[np.float64]) -> ExtractionError:
+def no_floor(points: NDArray[np.float64], config: LevelConfig) -> ExtractionError:
     """Return the error for a cloud (P, 3) in which nothing has headroom above it."""
     layers = _largest_layers(thin(points, _CELL), np.array([0.0, 0.0, 1.0]))
     axis = "xy"[int(np.argmax(layers[:2]))]
@@ -122,25 +127,38 @@ def no_floor(points: NDArray[np.float64]) -> ExtractionError:
         x, y, z = np.ptp(points, axis=0)
         return ExtractionError(
             f"no floor found with z up or any other axis: the cloud spans {x:.3g} m x {y:.3g} m x "
-            f"{z:.3g} m; is it in metres? If it is, name the axis that points up with --up"
+            f"{z:.3g} m; is it in metres (--scale)? If it is, name the axis that points up with "
+            "--up"
         )
-    if max(layers[:2]) <= layers[2]:
+    surfaces = measure_surfaces(points)
+    if surfaces.measured >= _MEASURABLE and surfaces.flat < _BUILT:
         return ExtractionError(
-            f"no floor found with z up (largest level {layers[2]:.0f} m²): "
-            "name the axis that points up with --up x or --up y"
+            f"no floor found: only {surfaces.flat:.0%} of the points lie on thin surfaces, in "
+            "buildings most do; is it a building, seen without much noise?"
         )
-    return ExtractionError(f"no floor found with z up; {_up_hint(axis, layers)}")
+    if surfaces.straight < _BUILT and np.degrees(steepest_tilt(points)) > _STILL_TILTED:
+        return ExtractionError(
+            f"no floor found with z up: the cloud seems tilted by more than level.largest_tilt, "
+            f"now {config.largest_tilt:g}°; set it higher (30° at most) or turn the cloud"
+        )
+    if max(layers[:2]) < _CLEARLY_LARGER * layers[2]:
+        return ExtractionError(
+            f"no floor found with z up (largest level {layers[2]:.0f} m²): is it indoors? "
+            "Name the axis that points up with --up x or --up y if it is not z"
+        )
+    return ExtractionError(f"no floor found with z up; {'; '.join(_up_hint(axis, layers))}")
 
 
-def _up_hint(axis: str, layers: tuple[float, float, float]) -> str:
+def _up_hint(axis: str, layers: tuple[float, float, float]) -> tuple[str, str]:
     area = layers["xyz".index(axis)]
-    return (
-        f"the floor looks perpendicular to {axis}: use --up {axis} "
-        f"(largest layer {area:.0f} m², perpendicular to z {layers[2]:.0f} m²)"
+    message = (
+        f"the floor looks perpendicular to {axis} (largest layer {area:.0f} m², perpendicular to "
+        f"z {layers[2]:.0f} m²)"
     )
+    return message, f"use --up {axis}, or --up=-{axis} if it then stands on its head"
 
 
-def _doubt_of_up(layers: tuple[float, float, float], config: LevelConfig) -> list[str]:
+def _doubt_of_up(layers: tuple[float, float, float], config: LevelConfig) -> tuple[Finding, ...]:
     """Return a warning where another axis is likelier up.
 
     Raises
@@ -151,8 +169,10 @@ def _doubt_of_up(layers: tuple[float, float, float], config: LevelConfig) -> lis
     axis = "xy"[int(np.argmax(layers[:2]))]
     area = max(layers[:2])
     if area >= config.refusal * layers[2] and area >= config.refusal_area:
-        raise ExtractionError(f"no floor found with z up; {_up_hint(axis, layers)}")
-    return [_up_hint(axis, layers)] if area >= config.doubt * layers[2] else []
+        raise ExtractionError(f"no floor found with z up; {'; '.join(_up_hint(axis, layers))}")
+    if area < config.doubt * layers[2]:
+        return ()
+    return (Finding("up_axis", "warning", *_up_hint(axis, layers)),)
 
 
 def _levelling_rotation(slope: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from dataclasses import dataclass
 
@@ -9,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.extraction import default_rooms, thesis_rooms
-from topometric_ros.extraction.assemble import assemble_rooms, majority, map_warnings
+from topometric_ros.extraction.assemble import assemble_rooms, majority
+from topometric_ros.extraction.assess import assess
 from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.errors import ExtractionError
-from topometric_ros.extraction.extent import anchor, moved_warnings, without_strays
+from topometric_ros.extraction.extent import anchor, moved_finding, without_islands, without_strays
 from topometric_ros.extraction.layers import refine_floor, storey_layers
-from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_warnings
+from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
 from topometric_ros.extraction.navigation import navigable_volume
 from topometric_ros.extraction.passages import find_passages
+from topometric_ros.extraction.quality import Finding, Quality
 from topometric_ros.extraction.storeys import (
     RASTER,
     StoreyHeights,
@@ -37,10 +40,14 @@ _FINEST_LAYERS = 0.05
 
 @dataclass(frozen=True)
 class Extraction:
-    """A map and what it took: `timings` holds CPU seconds of this thread by stage."""
+    """A map, what it took and how good it is: `timings` holds CPU seconds of this thread by stage.
+
+    The warnings among the findings of `quality` are those of the map.
+    """
 
     map: TopometricMap
     timings: dict[str, float]
+    quality: Quality
 
 
 @dataclass(frozen=True)
@@ -54,9 +61,11 @@ class _Scene:
 
     points: NDArray[np.float64]
     T_level_input: NDArray[np.float64]
-    warnings: tuple[str, ...]
+    tilt: float
+    findings: tuple[Finding, ...]
     grid: VoxelGrid
     cell_of_point: NDArray[np.int64]
+    raster: VoxelGrid
     raster_of_point: NDArray[np.int64]
     columns: Columns
     heights: NDArray[np.float64]
@@ -113,9 +122,6 @@ def extract(
         storey = scene.per_voxel(scene.storey_of_raster)
         rooms = assemble_rooms(grid, room, storey, passages)
         offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
-    warnings = (*scene.warnings, *map_warnings(room))
-    for warning in warnings:
-        logger.warning("%s: %s", agent, warning)
     x, y, z = (float(v) for v in grid.origin)
     result = TopometricMap(
         agent=agent,
@@ -134,9 +140,11 @@ def extract(
         passages=passages,
         storeys=storeys,
         T_level_input=scene.T_level_input,
-        warnings=warnings,
     )
-    return Extraction(result, watch.seconds)
+    with watch.stage("quality"):
+        quality = _quality(result, scene, storey, config)
+    result = dataclasses.replace(result, warnings=quality.warnings())
+    return Extraction(result, watch.seconds, quality)
 
 
 def _scene(
@@ -154,6 +162,7 @@ def _scene(
         middle = _middle(points, T_level_input)
         points = points - middle if middle.any() else points
         points = thin(points, min(config.voxel_size / 2, _FINEST_LAYERS))
+        points, islands = without_islands(points)
     with watch.stage("level"):
         level = _level(points, T_level_input, config)
         R = level.T_level_input[:3, :3]
@@ -177,9 +186,11 @@ def _scene(
     return _Scene(
         points,
         T_level_input,
-        (*strays, *moved_warnings(middle), *level.warnings),
+        level.tilt,
+        (*strays, *islands, *moved_finding(middle), *level.findings),
         grid,
         cell_of_point,
+        raster,
         raster_of_point,
         columns,
         heights,
@@ -205,7 +216,7 @@ def _level(
         return estimate_level(points, config.level)
     T = np.array(T_level_input, np.float64)
     tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
-    return Level(T, tilt, tilt_warnings(tilt))
+    return Level(T, tilt, tilt_findings(tilt))
 
 
 def _storeys(
@@ -218,7 +229,7 @@ def _storeys(
     heights = np.bincount(raster_of_point, weights=points[:, 2]) / count
     storeys = find_storeys(columns, heights, float(lattice[2]), config.storeys)
     if not storeys:
-        raise no_floor(points)
+        raise no_floor(points, config.level)
     return raster, raster_of_point, columns, heights, storeys
 
 
@@ -255,3 +266,17 @@ def _map_storeys(scene: _Scene, config: ExtractionConfig) -> tuple[Storey, ...]:
             zip(floors, scene.storeys, layers, strict=True)
         )
     )
+
+
+def _quality(
+    m: TopometricMap, scene: _Scene, storey: NDArray[np.int32], config: ExtractionConfig
+) -> Quality:
+    """Measure what came out, and log what looks wrong."""
+    quality = assess(
+        m, scene.points, scene.columns, scene.raster.coords, scene.storeys, storey, config.method
+    )
+    findings = (*scene.findings, *quality.findings)
+    for finding in findings:
+        level = logging.WARNING if finding.is_warning else logging.INFO
+        logger.log(level, "%s: %s", m.agent, finding)
+    return dataclasses.replace(quality, tilt=scene.tilt, findings=findings)

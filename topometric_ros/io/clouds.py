@@ -31,7 +31,11 @@ _UP_ROTATIONS = {
     "x": ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
     "y": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)),
     "z": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "-x": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)),
+    "-y": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+    "-z": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
 }
+UP_AXES = tuple(_UP_ROTATIONS)
 
 
 @dataclass(frozen=True)
@@ -54,30 +58,34 @@ def up_rotation(up: str) -> NDArray[np.float64]:
     Raises
     ------
     CloudError
-        `up` is none of x, y and z.
+        `up` is none of x, y, z, -x, -y and -z.
     """
     if up not in _UP_ROTATIONS:
-        raise CloudError(f"up: expected x, y or z, got {up!r}")
+        raise CloudError(f"up: expected one of {', '.join(UP_AXES)}, got {up!r}")
     T_up_input = np.eye(4)
     T_up_input[:3, :3] = _UP_ROTATIONS[up]
     return T_up_input
 
 
-def read_cloud(path: Path | str, up: str = "z") -> Cloud:
+def read_cloud(path: Path | str, up: str = "z", scale: float = 1.0) -> Cloud:
     """Read a point cloud: .ply, .pcd, .xyz, .txt, .npy, .npz, .las or .laz.
 
     Parameters
     ----------
     path : file to read
     up : axis of the file that points up
+    scale : length of the file's unit, m
 
     Raises
     ------
     CloudError
-        The file is missing, damaged, of an unknown kind, or holds no finite point.
+        The file is missing, damaged, of an unknown kind, or holds no finite point; or the scale
+        is no positive number.
     """
     path = Path(path)
     T_up_input = up_rotation(up)
+    if not (math.isfinite(scale) and scale > 0.0):
+        raise CloudError(f"scale: expected a positive number of metres, got {scale:g}")
     reader = _READERS.get(path.suffix.lower())
     if not path.exists():
         raise CloudError(f"{path}: no such file")
@@ -92,7 +100,7 @@ def read_cloud(path: Path | str, up: str = "z") -> Cloud:
         points = reader(path)
     except OSError as error:
         raise CloudError(f"{path}: cannot be read: {error}") from error
-    return finite_cloud(points, str(path), T_up_input)
+    return finite_cloud(points if scale == 1.0 else points * scale, str(path), T_up_input)
 
 
 def finite_cloud(

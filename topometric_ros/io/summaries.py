@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.extraction.quality import Quality
 from topometric_ros.io.map_format import MapFileError
 from topometric_ros.io.ply import write_ply
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels.palette import room_colours
 
 
-def map_summary(m: TopometricMap) -> dict[str, Any]:
-    """Return the content of map.json; positions are in the level frame."""
+def map_summary(m: TopometricMap, quality: Quality | None = None) -> dict[str, Any]:
+    """Return the content of map.json; positions are in the level frame.
+
+    `quality` is the report of the extraction, where the map was just extracted.
+    """
     return {
         "schema": m.schema,
         "agent": m.agent,
@@ -29,6 +33,7 @@ def map_summary(m: TopometricMap) -> dict[str, Any]:
             {"id": s.id, "floor_z": float(s.floor_z), "ceiling_z": optional(s.ceiling_z)}
             for s in m.storeys
         ],
+        **({} if quality is None else {"quality": quality.content()}),
     }
 
 

@@ -182,7 +182,7 @@ class Extractor(TopometricNode):
         self._maps.publish(map_to_message(m, self._classes))
         self._rooms.publish(map_cloud(m, self._classes, m.stamp))
         self._markers.publish(map_markers(m, stamp))
-        self.report.extracted(m, sum(result.timings.values()))
+        self.report.extracted(m, result.quality, sum(result.timings.values()))
         self.get_logger().info(
             f"map {m.sequence}: {len(m.rooms)} rooms, {len(m.passages)} passages, "
             f"{len(m.voxels)} voxels in {self.report.cpu_s:.1f} s of CPU time"

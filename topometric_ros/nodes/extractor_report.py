@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from topometric_ros.extraction.quality import Quality
 from topometric_ros.nodes.diagnostics import Level, Status
 from topometric_ros.topometric_map import TopometricMap
 
@@ -18,6 +19,7 @@ class ExtractorReport:
     refusal: str = ""
     failure: str = ""
     published: TopometricMap | None = None
+    quality: Quality | None = None
     cpu_s: float = 0.0
 
     def refuse(self, reason: str) -> bool:
@@ -27,13 +29,17 @@ class ExtractorReport:
         self.refusal = reason
         return is_new
 
-    def extracted(self, topometric_map: TopometricMap, cpu_s: float) -> None:
-        """Note a map that was published and the CPU time that it took."""
-        self.published, self.cpu_s, self.failure = topometric_map, cpu_s, ""
+    def extracted(self, topometric_map: TopometricMap, quality: Quality, cpu_s: float) -> None:
+        """Note a map that was published, how good it is and the CPU time that it took."""
+        self.published, self.quality = topometric_map, quality
+        self.cpu_s, self.failure = cpu_s, ""
 
     def statuses(self, node: str, numbers: Mapping[str, object]) -> list[Status]:
-        """Return the statuses of input and map for `/diagnostics`; `numbers` are of the input."""
-        return [self._input(node, numbers), self._map(node)]
+        """Return the statuses of input and map for `/diagnostics`; `numbers` are of the input.
+
+        Once there is a map, a third one tells its quality.
+        """
+        return [self._input(node, numbers), self._map(node), *self._quality(node)]
 
     def _input(self, node: str, numbers: Mapping[str, object]) -> Status:
         level, message = Level.OK, f"{self.received} clouds received"
@@ -63,3 +69,18 @@ class ExtractorReport:
         if m.warnings:
             return Status(f"{node}: map", Level.WARN, m.warnings[0], values)
         return Status(f"{node}: map", Level.OK, f"{len(m.rooms)} rooms", values)
+
+    def _quality(self, node: str) -> list[Status]:
+        if self.quality is None:
+            return []
+        content = self.quality.content()
+        values: dict[str, object] = {
+            name: v for name, v in content.items() if isinstance(v, int | float)
+        }
+        values |= {f"in no room: {k}": v for k, v in content["unlabelled"].items()}
+        values |= {f.code: str(f) for f in self.quality.findings}
+        warnings = self.quality.warnings()
+        level = Level.WARN if warnings else Level.OK
+        message = warnings[0] if warnings else "nothing looks wrong"
+        more = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
+        return [Status(f"{node}: quality", level, message + more, values)]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.pipeline import Extraction, extract
+from topometric_ros.extraction.quality import Finding
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.matching.descriptors import describe
 from topometric_ros.topometric_map import TopometricMap
@@ -44,8 +45,10 @@ def extract_map(
     start = time.thread_time()
     described = in_input_frame(describe(result.map, matching), T_up_input)
     described = dataclasses.replace(described, warnings=(*warnings, *described.warnings))
+    told = tuple(Finding("input", "warning", warning) for warning in warnings)
+    quality = dataclasses.replace(result.quality, findings=(*told, *result.quality.findings))
     timings = {**result.timings, "descriptors": time.thread_time() - start}
-    return Extraction(described, timings)
+    return dataclasses.replace(result, map=described, timings=timings, quality=quality)
 
 
 def in_input_frame(m: TopometricMap, T_up_input: NDArray[np.float64] | None) -> TopometricMap:

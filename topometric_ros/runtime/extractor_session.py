@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
+from topometric_ros.extraction.assess import parts
 from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.pipeline import Extraction
 from topometric_ros.io.trajectories import AgentTrajectory
@@ -177,7 +178,8 @@ class ExtractorSession:
             m, self._next_room = keep_room_ids(previous, m, self._next_room)
         self.sequence += 1
         self.map = m
-        return dataclasses.replace(result, map=m)
+        quality = dataclasses.replace(result.quality, parts=parts(m))
+        return dataclasses.replace(result, map=m, quality=quality)
 
     def _begin(self, frame_id: str) -> None:
         """Note the map's frame; another one than before begins a new session."""

@@ -9,12 +9,13 @@ from __future__ import annotations
 import dataclasses
 import heapq
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from topometric_ros.alignment import MergeResult
 from topometric_ros.errors import TopometricError
+from topometric_ros.extraction.quality import Quality
 from topometric_ros.io.bags import BagError, BagMessage, is_bag
 from topometric_ros.io.trajectories import AgentTrajectory
 from topometric_ros.runtime.bag_input import BagInput
@@ -39,13 +40,15 @@ _SECOND = 1_000_000_000
 class Replayed:
     """What a replay came to: the final result, the agents' final maps and CPU seconds by stage.
 
-    `trajectories` are those of the agents whose bags hold scans, each in its own map's frame.
+    `trajectories` are those of the agents whose bags hold scans, each in its own map's frame;
+    `qualities` are the reports of the agents whose maps were extracted here.
     """
 
     result: MergeResult
     maps: tuple[TopometricMap, ...]
     timings: dict[str, float]
     trajectories: tuple[AgentTrajectory, ...] = ()
+    qualities: Mapping[str, Quality] = field(default_factory=dict)
 
 
 def find_agents(texts: Sequence[str]) -> list[BagSource]:
@@ -108,6 +111,7 @@ class _Replay:
         self._merger = MergerSession(config.merge, [source.agent for source in sources])
         self._progress = progress
         self._timings: dict[str, float] = {}
+        self._qualities: dict[str, Quality] = {}
         self._due: dict[str, int] = {}
         self._now = 0
 
@@ -128,7 +132,8 @@ class _Replay:
         result = self._merge(output)
         maps = tuple(self._merger.maps[agent.id] for agent in result.agents)
         ways = [reader.agent_input.session.trajectory for reader in self._inputs]
-        return Replayed(result, maps, self._timings, tuple(way for way in ways if way))
+        known = tuple(way for way in ways if way)
+        return Replayed(result, maps, self._timings, known, self._qualities)
 
     def _in_time_order(self) -> Iterator[tuple[BagMessage, BagInput]]:
         """Yield the messages of all sources; at one time the earlier source comes first."""
@@ -159,6 +164,7 @@ class _Replay:
         self._progress(f"extracting {agent}")
         result = reader.agent_input.session.extract()
         self._count(result.timings)
+        self._qualities[agent] = result.quality
         warnings = (*reader.warnings(), *result.map.warnings)
         return dataclasses.replace(result.map, warnings=warnings)
 

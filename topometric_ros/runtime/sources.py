@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from topometric_ros.extraction.quality import Quality
 from topometric_ros.io.bags import is_bag
 from topometric_ros.io.clouds import read_cloud, up_rotation
 from topometric_ros.io.map_files import load_map
@@ -33,25 +34,31 @@ MAP_SUFFIX = ".tmap"
 
 @dataclass(frozen=True)
 class InputOptions:
-    """How inputs are to be read: the axis that points up, the mode, the map's frame, the seed."""
+    """How inputs are to be read: the axis that points up, the mode, the map's frame, the seed.
+
+    `scale` is the length in m of the unit that cloud files are in; bags and maps are in metres.
+    """
 
     up: str = "z"
     mode: str = "auto"
     map_frame: str = ""
     seed: int = 0
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
 class LoadedMap:
-    """One source's map; `timings` holds CPU seconds by stage where it was extracted.
+    """One source's map; where it was extracted, `timings` holds CPU seconds by stage.
 
-    `trajectory` says where the agent was, in the frame of the source's points, where that is known.
+    `trajectory` says where the agent was, in the frame of the source's points, where that is known;
+    `quality` is the report of the extraction.
     """
 
     map: TopometricMap
     source: str
     timings: dict[str, float] = field(default_factory=dict)
     trajectory: AgentTrajectory | None = None
+    quality: Quality | None = None
 
 
 def _silent(_: str) -> None:
@@ -92,7 +99,10 @@ def load_source(
     progress: Callable[[str], None],
 ) -> LoadedMap:
     """Return the map of one source; raises TopometricError as :func:`load_sources`."""
-    if source.path.suffix.lower() == MAP_SUFFIX:
+    is_map = source.path.suffix.lower() == MAP_SUFFIX
+    if options.scale != 1.0 and (is_map or is_bag(source.path)):
+        raise SourceError(f"{source.text}: --scale is for cloud files; bags and maps are in metres")
+    if is_map:
         m = load_map(source.path)
         agent = source.agent or m.agent
         way = _trajectory_beside(source.path, m.agent, agent)
@@ -102,7 +112,7 @@ def load_source(
     if source.topic is not None and not Path(source.path).exists():
         raise SourceError(f"{source.text}: no such file")
     progress(f"reading {source.path}")
-    cloud = read_cloud(source.path, options.up)
+    cloud = read_cloud(source.path, options.up, options.scale)
     agent = source.agent or readable(source.path.stem)
     progress(f"extracting {agent} ({len(cloud.points):,} points)")
     result = extract_map(
@@ -116,7 +126,7 @@ def load_source(
         sequence=1,
     )
     way = _trajectory_beside(source.path, source.path.stem, agent)
-    return LoadedMap(result.map, source.text, result.timings, way)
+    return LoadedMap(result.map, source.text, result.timings, way, result.quality)
 
 
 def load_bag_source(
@@ -138,7 +148,7 @@ def load_bag_source(
     result = reader.agent_input.session.extract()
     m = dataclasses.replace(result.map, warnings=(*reader.warnings(), *result.map.warnings))
     way = reader.agent_input.session.trajectory
-    return LoadedMap(m, source.text, result.timings, way)
+    return LoadedMap(m, source.text, result.timings, way, result.quality)
 
 
 def bag_input(source: BagSource, config: ToolConfig, options: InputOptions) -> BagInput:

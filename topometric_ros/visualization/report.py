@@ -15,6 +15,7 @@ from topometric_ros.alignment import (
     AlignmentStatus,
     MergeResult,
 )
+from topometric_ros.extraction.quality import Quality
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.visualization.figures import (
     global_figure,
@@ -39,6 +40,7 @@ from topometric_ros.visualization.report_pairs import (
     angles,
     sentence,
 )
+from topometric_ros.visualization.report_quality import quality_details
 from topometric_ros.voxels.palette import agent_colour, room_colours
 
 _ADVICE = {
@@ -61,6 +63,7 @@ def write_report(
     maps: Sequence[TopometricMap],
     path: Path,
     timings: Mapping[str, float] | None = None,
+    qualities: Mapping[str, Quality] | None = None,
 ) -> None:
     """Write the report of a merge as one self-contained HTML file.
 
@@ -70,14 +73,16 @@ def write_report(
     maps : the agents' own maps, in the order of `result.agents`
     path : file to write
     timings : CPU seconds by stage; left out, the bytes depend on the result alone
+    qualities : reports of the extractions by agent, of those that were extracted here
     """
-    path.write_text(report_html(result, maps, timings), encoding="utf-8")
+    path.write_text(report_html(result, maps, timings, qualities), encoding="utf-8")
 
 
 def report_html(
     result: MergeResult,
     maps: Sequence[TopometricMap],
     timings: Mapping[str, float] | None = None,
+    qualities: Mapping[str, Quality] | None = None,
 ) -> str:
     """Return the report of a merge as HTML; parameters as of :func:`write_report`."""
     by_agent = {agent.id: m for agent, m in zip(result.agents, maps, strict=True)}
@@ -89,7 +94,7 @@ def report_html(
         _global_section(result, names),
         _agents_section(result),
         *(alignment_section(alignment, by_agent, names) for alignment in result.alignments),
-        _maps_section(result, by_agent),
+        _maps_section(result, by_agent, qualities or {}),
         _timings_section(timings),
     ]
     return page("Merge report: " + ", ".join(names), "\n".join(p for p in parts if p))
@@ -162,13 +167,20 @@ def _agents_section(result: MergeResult) -> str:
     return f'<h2>Agents</h2><section class="card">{table(head, rows, "  nnnn  ")}</section>'
 
 
-def _maps_section(result: MergeResult, maps: Mapping[str, TopometricMap]) -> str:
-    cards = [_map_card(k, agent, maps[agent.id], result) for k, agent in enumerate(result.agents)]
+def _maps_section(
+    result: MergeResult, maps: Mapping[str, TopometricMap], qualities: Mapping[str, Quality]
+) -> str:
+    cards = [
+        _map_card(k, agent, maps[agent.id], result, qualities.get(agent.id))
+        for k, agent in enumerate(result.agents)
+    ]
     return f'<h2>Each agent\'s map</h2><div class="pair">{"".join(cards)}</div>'
 
 
-def _map_card(k: int, agent: AgentPlacement, m: TopometricMap, result: MergeResult) -> str:
-    """One agent's picture and its table of rooms."""
+def _map_card(
+    k: int, agent: AgentPlacement, m: TopometricMap, result: MergeResult, quality: Quality | None
+) -> str:
+    """One agent's picture, its table of rooms and the quality of its extraction."""
     neighbours: dict[int, list[int]] = {room.id: [] for room in m.rooms}
     for passage in m.passages:
         first, second = passage.rooms
@@ -189,7 +201,7 @@ def _map_card(k: int, agent: AgentPlacement, m: TopometricMap, result: MergeResu
     rooms = details("rooms", table(head, rows, " nnn  ")) if rows else "<p>No rooms found.</p>"
     title = swatch(hex_colour(agent_colour(k))) + text(agent.id)
     body = picture(map_figure(m), f"map of {agent.id}", _size(m)) or "<p>The map is empty.</p>"
-    return f'<section class="card"><b>{title}</b>{body}{rooms}</section>'
+    return f'<section class="card"><b>{title}</b>{body}{rooms}{quality_details(quality)}</section>'
 
 
 def _partners(agent: str, room: int, result: MergeResult) -> str:
