@@ -18,6 +18,7 @@ from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.pipeline import extract
 from topometric_ros.extraction.quality import Quality, findings
 from topometric_ros.extraction.surfaces import measure_surfaces, spacing, steepest_tilt
+from topometric_ros.io.clouds import UP_AXES, up_rotation
 from topometric_ros.voxels.grid import thin, voxelise
 
 
@@ -159,3 +160,12 @@ def test_the_command_line_writes_the_report_and_scales(tmp_path: Path) -> None:
     quality = json.loads((tmp_path / "map.json").read_text())["quality"]
     assert (quality["rooms"], quality["passages"], quality["findings"]) == (2, 1, [])
     assert main([*arguments[:-1], "-1"]) == 2
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_every_axis_that_points_up_becomes_z(up: str) -> None:
+    T = up_rotation(up)
+    axis = np.zeros(3)
+    axis["xyz".index(up[-1])] = -1.0 if up[0] == "-" else 1.0
+    np.testing.assert_array_equal(T[:3, :3] @ axis, [0, 0, 1])
+    assert np.linalg.det(T) == 1.0
