@@ -168,6 +168,22 @@ def test_an_area_of_s3dis_keeps_its_rooms_and_proposes_its_links(tmp_path):
     assert building.room_of(np.array([[2.0, 4.0, 0.0], [6.0, 4.0, 0.1]])).tolist() == [1, 2]
 
 
+def test_a_room_of_s3dis_keeps_its_folders_name(tmp_path):
+    area = write_s3dis(tmp_path)
+    (area / "Area_9_alignmentAngle.txt").write_text("## Global alignment angle ##\noffice_1 90\n")
+    (area / "office_1" / "office_1.txt").rename(area / "office_1" / "off_ice_1.txt")
+    assert [room.name for room in load_building(str(area)).rooms] == list(CLOUDS)
+    (area / "office_1" / "off_ice_1.txt").unlink()
+    with pytest.raises(BuildingError, match=r"office_1.txt: no such file"):
+        load_building(str(area))
+
+
+def test_the_aligned_version_of_s3dis_is_refused(tmp_path):
+    area = write_s3dis(tmp_path / "Stanford3dDataset_v1.2_Aligned_Version")
+    with pytest.raises(BuildingError, match="turned by itself"):
+        load_building(str(area))
+
+
 def labelled_ply(path, clouds, name="label"):
     points = np.concatenate(list(clouds))
     table = np.empty(len(points), [("x", "f4"), ("y", "f4"), ("z", "f4"), (name, "i4")])
@@ -201,6 +217,22 @@ def test_the_maps_of_cslamd_are_moved_into_one_frame_and_labelled(tmp_path):
     assert len(building.rooms) == 3
     assert building.room_of(np.array([[6.0, 4.0, 0.0]])).tolist() == [2]
     assert (building.labels >= 0).all()
+
+
+def test_the_meshes_of_cslamd_share_a_frame_and_take_labels(tmp_path):
+    scene = tmp_path / "House"
+    (scene / "meshes").mkdir(parents=True)
+    labelled_ply(scene / "annotation.ply", CLOUDS.values())
+    # As a camera's frame is: z ahead, y down.
+    T_building_meshes = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]])
+    np.savetxt(scene / "meshes.txt", T_building_meshes)
+    for name in ("hallway_1", "office_1"):
+        points = (CLOUDS[name] - T_building_meshes[:3, 3]) @ T_building_meshes[:3, :3]
+        vertices = [tuple(point) for point in points.astype(np.float32)]
+        write_ply(scene / "meshes" / f"{name}.ply", np.array(vertices, [(k, "f4") for k in "xyz"]))
+    building = load_building(str(scene))
+    assert len(building.rooms) == 2
+    assert building.room_of(np.array([[2.0, 4.0, 0.0], [4.0, 1.0, 0.0]])).tolist() == [1, 0]
 
 
 def test_sidecars_replace_the_links_and_bring_walks(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from topometric_ros.cli.common import (
     add_verbose,
@@ -13,9 +13,19 @@ from topometric_ros.cli.common import (
     output_folder,
     progress_of,
     report,
+    warning_lines,
 )
+from topometric_ros.errors import TopometricError
+
+if TYPE_CHECKING:
+    from topometric_ros.simulation.cases import SimulationConfig
+    from topometric_ros.simulation.labelled import LabelledBuilding
 
 BAGS = ("scans", "maps")
+
+
+class SimulateArgumentError(TopometricError):
+    """Arguments that do not go together."""
 
 
 def add_parser(commands: Any) -> None:
@@ -31,8 +41,13 @@ def add_parser(commands: Any) -> None:
         metavar="BUILDING",
         help="office:seed=3,rooms=20 and the like, or a file or folder: see docs/simulation.md",
     )
+    command.add_argument("-o", "--output", type=Path, metavar="OUT", help="folder to write to")
     command.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="folder to write to"
+        "--propose-graph",
+        type=Path,
+        metavar="FILE",
+        help="write which rooms are joined, as found without a sidecar file, to correct by hand; "
+        "without -o nothing else is done",
     )
     command.add_argument("--agents", type=int, metavar="N", help="number of agents (default 2)")
     command.add_argument(
@@ -63,7 +78,32 @@ def add_parser(commands: Any) -> None:
 
 
 def simulate(options: argparse.Namespace) -> int:
-    """Simulate and write all cases."""
+    """Propose a graph, or simulate and write all cases, or both."""
+    if options.output is None and options.propose_graph is None:
+        raise SimulateArgumentError("expected -o OUT, or --propose-graph FILE")
+    if options.propose_graph is not None:
+        _propose_graph(options)
+    return 0 if options.output is None else _simulate_cases(options)
+
+
+def _propose_graph(options: argparse.Namespace) -> None:
+    """Write a building's links; a file that may have been corrected is left as it is."""
+    from topometric_ros.simulation.buildings import load_building
+    from topometric_ros.simulation.sidecars import write_graph
+
+    if options.propose_graph.exists():
+        raise SimulateArgumentError(f"{options.propose_graph}: is there already; remove it first")
+    progress_of(options)(f"reading {options.building}")
+    building = load_building(options.building, sidecars=False)
+    write_graph(building, options.propose_graph)
+    finish_progress(options)
+    if not (options.json and options.output):
+        rooms, links = len(building.rooms), len(building.links)
+        lines = [f"{options.propose_graph}: {links} links of {rooms} rooms, to correct by hand"]
+        report(options, {"rooms": rooms, "links": links}, lines)
+
+
+def _simulate_cases(options: argparse.Namespace) -> int:
     from topometric_ros.simulation import cases
     from topometric_ros.simulation.buildings import load_building
     from topometric_ros.simulation.simulation_config import load_simulation_config, parse_walk
@@ -86,8 +126,19 @@ def simulate(options: argparse.Namespace) -> int:
         cases.write_case(case, folder / name, options.bag)
         rows.append(_row(name, case))
     finish_progress(options)
-    report(options, {"cases": rows}, [_line(row) for row in rows] + [f"written to {folder}"])
+    warnings = _warnings(building, config)
+    lines = [*map(_line, rows), *warning_lines(warnings), f"written to {folder}"]
+    report(options, {"cases": rows, "warnings": warnings}, lines)
     return 0
+
+
+def _warnings(building: LabelledBuilding, config: SimulationConfig) -> list[str]:
+    """Return what was asked for and cannot be had in this building."""
+    from topometric_ros.simulation.degrade import furniture_pieces
+
+    if config.degrade.moved == 0.0 or furniture_pieces(building):
+        return []
+    return [f"degrade.moved: {building.name} has no furniture that could be moved"]
 
 
 def _row(name: str, case: Any) -> dict[str, Any]:

@@ -25,7 +25,8 @@ from topometric_ros.simulation.room_kinds import kind_of_name
 
 _LEFT_OUT = ("IfcSpace", "IfcDoor")
 """The air of a room, and the leaves of doors: without them every door stands open."""
-_MOVABLE = ("IfcFurnishingElement", "IfcFurniture")
+_MOVABLE = ("IfcFurnishingElement", "IfcFurniture", "IfcSystemFurnitureElement")
+"""Washbasins and radiators (IfcFlowTerminal, IfcSpaceHeater) are fixed, proxies are anything."""
 
 
 def load_bim(path: Path) -> LabelledBuilding:

@@ -15,7 +15,7 @@ from topometric_ros.simulation.sidecars import with_sidecars
 _FILES = {".npz": load_bim, ".png": load_floor_plan, ".ply": load_ply}
 
 
-def load_building(spec: str) -> LabelledBuilding:
+def load_building(spec: str, *, sidecars: bool = True) -> LabelledBuilding:
     """Return a building with its rooms and links.
 
     Parameters
@@ -24,6 +24,7 @@ def load_building(spec: str) -> LabelledBuilding:
         path of a BIM model (.npz), a floor plan (.png), a labelled cloud (.ply), a folder of
         S3DIS (Area_1) or one of the Collaborative SLAM data set. Sidecar files beside a path
         replace the links that were found (docs/simulation.md).
+    sidecars : whether they do
 
     Raises
     ------
@@ -43,13 +44,13 @@ def load_building(spec: str) -> LabelledBuilding:
         raise BuildingError(f"{spec}: expected {', '.join(_FILES)} or a folder")
     else:
         building = _FILES[path.suffix.lower()](path)
-    return with_sidecars(building, path)
+    return with_sidecars(building, path) if sidecars else building
 
 
 def _load_folder(path: Path) -> LabelledBuilding:
     """Rooms in folders of their own: S3DIS; maps with transforms beside them: CSLAMD."""
     if any(path.glob("*/*.txt")):
         return load_s3dis(path)
-    if any(path.glob("*.ply")):
+    if any(path.glob("*.ply")) or any(path.glob("meshes/*.ply")):
         return load_cslamd(path)
     raise BuildingError(f"{path}: neither <room>/<room>.txt as in S3DIS nor .ply maps are in it")

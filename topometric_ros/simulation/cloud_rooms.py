@@ -9,6 +9,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from topometric_ros.simulation.labelled import TrueLink, TrueRoom, join_rings
 from topometric_ros.simulation.outlines import simplify, trace_outlines
@@ -20,7 +21,9 @@ _STOREY = 1.5
 """Floors that differ by more belong to different storeys, m."""
 _FLOOR = 0.15
 """How far above a room's floor its points still belong to it, m."""
-_WIDEST_DOOR = 1.6
+_GAP = 0.1
+"""Floors nearer than this meet, m: a closed door is thinner, nearly all walls are thicker."""
+_NARROWEST, _WIDEST_DOOR = 0.5, 1.6
 
 
 def rooms_and_links(
@@ -43,8 +46,7 @@ def rooms_and_links(
         kind = kind_of_name(names[k])
         rooms.append(TrueRoom(k, names[k], kind, storeys[k], polygon, float(low), float(high)))
     floors = [
-        _cells(cloud[cloud[:, 2] < low + _FLOOR], origin)
-        for cloud, (low, _) in zip(clouds, heights, strict=True)
+        cloud[cloud[:, 2] < low + _FLOOR] for cloud, (low, _) in zip(clouds, heights, strict=True)
     ]
     links = []
     for a, b in itertools.combinations(range(len(names)), 2):
@@ -84,29 +86,29 @@ def _outline(points: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArra
 def _meetings(
     a: TrueRoom,
     b: TrueRoom,
-    floor_a: NDArray[np.int64],
-    floor_b: NDArray[np.int64],
+    floor_a: NDArray[np.float64],
+    floor_b: NDArray[np.float64],
     origin: NDArray[np.float64],
 ) -> list[TrueLink]:
-    """Return a link for each stretch along which two floors touch."""
+    """Return a link for each stretch along which two floors, points (N, 3), come near."""
+    floor_a, floor_b = _near_bounds(floor_a, floor_b), _near_bounds(floor_b, floor_a)
     if not len(floor_a) or not len(floor_b):
         return []
-    corner = np.maximum(floor_a.min(axis=0), floor_b.min(axis=0)) - 2
-    shape = np.minimum(floor_a.max(axis=0), floor_b.max(axis=0)) + 3 - corner
-    if np.any(shape <= 0):
+    gaps = cKDTree(floor_a).query(floor_b, distance_upper_bound=_GAP)[0]
+    cells = _cells(floor_b[np.isfinite(gaps)], origin)
+    if not len(cells):
         return []
-    masks = []
-    for floor in (floor_a, floor_b):
-        inside = np.all((floor >= corner) & (floor < corner + shape), axis=1)
-        mask = np.zeros(shape, dtype=bool)
-        mask[tuple((floor[inside] - corner).T)] = True
-        masks.append(ndimage.binary_dilation(mask, np.ones((3, 3))))
-    stretches, count = ndimage.label(masks[0] & masks[1], np.ones((3, 3)))
+    corner = cells.min(axis=0)
+    mask = np.zeros(np.ptp(cells, axis=0) + 1, dtype=bool)
+    mask[tuple((cells - corner).T)] = True
+    # A missing cell does not part a stretch.
+    joined = ndimage.binary_dilation(np.pad(mask, 1), np.ones((3, 3)))
+    stretches, count = ndimage.label(joined, np.ones((3, 3)))
     links = []
     for k in range(1, count + 1):
-        found = np.argwhere(stretches == k)
+        found = np.argwhere((stretches[1:-1, 1:-1] == k) & mask)
         width = CELL * float(np.ptp(found, axis=0).max() + 1)
-        if width < 0.5:
+        if width < _NARROWEST:
             continue
         middle = found[np.argmin(((found - found.mean(axis=0)) ** 2).sum(axis=1))]
         x, y = CELL * (middle + corner + origin + 0.5)
@@ -114,3 +116,11 @@ def _meetings(
         place = np.array([x, y, (a.z_low + b.z_low) / 2])
         links.append(TrueLink((a.id, b.id), kind, place, width))
     return links
+
+
+def _near_bounds(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the points (n, 3) near the smallest upright box round others (m, 3)."""
+    if not len(others):
+        return others
+    low, high = others[:, :2].min(axis=0) - _GAP, others[:, :2].max(axis=0) + _GAP
+    return points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]

@@ -5,7 +5,6 @@ Each is one function of its input and a random generator; range noise is drawn w
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +13,6 @@ from numpy.typing import NDArray
 from topometric_ros.configuration import parameter
 from topometric_ros.simulation.agents import rotation, translation
 from topometric_ros.simulation.labelled import LabelledBuilding
-
-logger = logging.getLogger(__name__)
 
 _CEILING = 0.25
 """What lies less than this below a room's upper end counts as its ceiling, m."""
@@ -45,7 +42,8 @@ class DegradeConfig:
     )
     moved: float = parameter(
         0.0,
-        "Share of the furniture that stands elsewhere for every agent after the first.",
+        "Share of the furniture that is pushed elsewhere for every agent after the first; a piece "
+        "that would then reach into a wall or another room stays.",
         minimum=0.0,
         maximum=1.0,
     )
@@ -126,14 +124,18 @@ def _level_fit(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDAr
     return translation(*b) @ rotation(0.0, 0.0, float(yaw)) @ translation(*-a)
 
 
+def furniture_pieces(building: LabelledBuilding) -> int:
+    """Return how many things of a building can be moved; none in a cloud."""
+    tags = building.face_tag
+    return 0 if tags is None or building.is_cloud else len(np.unique(tags[tags > 0]))
+
+
 def move_furniture(
     building: LabelledBuilding, config: DegradeConfig, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Return the vertices (V, 3), m, with some of the furniture moved within its rooms."""
     vertices = building.vertices.copy()
     tags = building.face_tag
-    if config.moved > 0.0 and (tags is None or not (tags > 0).any()):
-        logger.warning("%s has no furniture that could be moved", building.name)
     if config.moved == 0.0 or tags is None:
         return vertices
     for tag in np.unique(tags[tags > 0]):

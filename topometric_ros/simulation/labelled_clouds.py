@@ -20,25 +20,47 @@ THINNED = 0.02
 _REACH = 0.2
 """How far a map's point may lie from the annotated point that it takes its room from, m."""
 _LABELS = ("label", "room")
+_NOTES = "Annotations"
+_MESHES = "meshes"
 
 
 def load_s3dis(path: Path) -> LabelledBuilding:
     """Return an area of S3DIS: a folder for each room, `<room>/<room>.txt` with x y z r g b.
 
-    The folders' names are the rooms': `hallway_1` is a corridor. `Annotations` are not read.
+    The folders' names are the rooms': `hallway_1` is a corridor. `Annotations` are not read. One
+    file of the release has another name than its folder, Area_6/copyRoom_1/copy_Room_1.txt.
 
     Raises
     ------
     BuildingError
-        There is no room, or a room's file is damaged.
+        There is no room, a room's file is missing or damaged, or the rooms are in frames of
+        their own.
     """
-    files = [folder / f"{folder.name}.txt" for folder in sorted(path.iterdir())]
-    files = [file for file in files if file.exists()]
-    if not files:
+    if any(part.endswith("Aligned_Version") for part in path.resolve().parts):
+        raise BuildingError(
+            f"{path}: each room of the aligned version is turned by itself; expected the areas of "
+            "Stanford3dDataset_v1.2"
+        )
+    folders = sorted(folder for folder in path.iterdir() if folder.is_dir())
+    rooms = {folder.name: sorted(folder.glob("*.txt")) for folder in folders}
+    rooms = {
+        name: files for name, files in rooms.items() if files or (path / name / _NOTES).is_dir()
+    }
+    if not rooms:
         raise BuildingError(f"{path}: no room, expected files <room>/<room>.txt")
-    clouds = [_thinned(_read_text(file)) for file in files]
-    labels = np.repeat(np.arange(len(files)), [len(cloud) for cloud in clouds])
-    return _building(path.name, np.concatenate(clouds), labels, [file.stem for file in files])
+    clouds = [_thinned(_read_text(_room_file(path / name, rooms[name]))) for name in rooms]
+    labels = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
+    return _building(path.name, np.concatenate(clouds), labels, list(rooms))
+
+
+def _room_file(folder: Path, files: list[Path]) -> Path:
+    """Return the file with a room's points: of the folder's name, or the only one."""
+    named = folder / f"{folder.name}.txt"
+    if named in files:
+        return named
+    if len(files) != 1:
+        raise BuildingError(f"{named}: no such file, and {len(files)} others in its place")
+    return files[0]
 
 
 def load_ply(path: Path) -> LabelledBuilding:
@@ -58,9 +80,11 @@ def load_ply(path: Path) -> LabelledBuilding:
 def load_cslamd(path: Path) -> LabelledBuilding:
     """Return a scene of the Collaborative SLAM data set: partial maps moved into one frame.
 
-    Every `<map>.ply` has its ground truth in `<map>.txt`, sixteen numbers: T_building_map, row by
-    row. A labelled PLY without such a file is the scene's annotation, in the building frame: maps
-    without labels of their own take those of its nearest points.
+    The maps are `meshes/<sequence>.ply` as the release has them, in one frame already, and
+    `meshes.txt` is T_building_meshes, sixteen numbers, row by row; without it the frame is the
+    building's. Or every `<map>.ply` has its own T_building_map in `<map>.txt`. A labelled PLY that
+    is neither is the scene's annotation, in the building frame: maps without labels of their own
+    take those of its nearest points.
 
     Raises
     ------
@@ -69,17 +93,21 @@ def load_cslamd(path: Path) -> LabelledBuilding:
     """
     annotation: tuple[NDArray, NDArray] | None = None
     clouds, rooms = [], []
-    for file in sorted(path.glob("*.ply")):
+    shared = path / f"{_MESHES}.txt"
+    T_building_meshes = read_transform(shared) if shared.exists() else np.eye(4)
+    for file in [*sorted(path.glob("*.ply")), *sorted(path.glob(f"{_MESHES}/*.ply"))]:
         points, labels = read_labelled_ply(file)
         truth = file.with_suffix(".txt")
-        if truth.exists():
-            T_building_map = read_transform(truth)
-            clouds.append(points @ T_building_map[:3, :3].T + T_building_map[:3, 3])
+        if file.parent != path or truth.exists():
+            T = read_transform(truth) if file.parent == path else T_building_meshes
+            clouds.append(points @ T[:3, :3].T + T[:3, 3])
             rooms.append(labels)
         elif labels is not None:
             annotation = points, labels
     if not clouds:
-        raise BuildingError(f"{path}: no map <map>.ply with its transform in <map>.txt")
+        raise BuildingError(
+            f"{path}: no meshes/<sequence>.ply, nor a <map>.ply with its transform in <map>.txt"
+        )
     if annotation is None and any(labels is None for labels in rooms):
         raise BuildingError(f"{path}: no labels; expected a PLY with them in the building frame")
     given = [

@@ -45,7 +45,9 @@ def with_sidecars(building: LabelledBuilding, path: Path) -> LabelledBuilding:
 
 
 def write_graph(building: LabelledBuilding, path: Path) -> None:
-    """Write a building's links as a proposal for a person to correct."""
+    """Write a building's links as a proposal for a person to correct, and which rooms have none."""
+    joined = {room for link in building.links for room in link.rooms}
+    alone = [str(_reference(building, r.id)) for r in building.rooms if r.id not in joined]
     links = [
         {
             "rooms": [_reference(building, room) for room in link.rooms],
@@ -56,6 +58,7 @@ def write_graph(building: LabelledBuilding, path: Path) -> None:
         for link in building.links
     ]
     lines = "# Rooms that are joined: kind is door, opening, virtual or stair; metres.\n"
+    lines += f"# Rooms without a link: {', '.join(alone) or 'none'}.\n"
     path.write_text(lines + yaml.safe_dump({"links": links}, sort_keys=False), encoding="utf-8")
 
 
