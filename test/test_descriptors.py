@@ -18,7 +18,9 @@ from topometric_ros.matching.context import embed_pair
 from topometric_ros.matching.descriptors import (
     MERGED,
     EngineeredDescriptor,
+    ShapeDescriptor,
     SpectralDescriptor,
+    TopologicalDescriptor,
     describe,
     described,
 )
@@ -61,9 +63,12 @@ def test_engineered_features_do_not_change_with_yaw_and_translation(
     )
 
 
-def test_rooms_keep_their_descriptors_when_the_agent_stands_elsewhere() -> None:
+@pytest.mark.parametrize("names", [("engineered", "spectral"), ("shape",)])
+def test_rooms_keep_their_descriptors_when_the_agent_stands_elsewhere(
+    names: tuple[str, ...],
+) -> None:
     """Voxels on another lattice change each number by less than rooms differ."""
-    config = MatchingConfig(context=ContextConfig(kind="none"))
+    config = MatchingConfig(descriptors=DescriptorConfig(names=names))
     here = agent_map("a", A_ROOMS, T_BUILDING_A)
     there = agent_map("b", A_ROOMS, yaw_transform(2.2, (3, 1, 1.0)))
     cost = cost_matrix(*embed_pair(here, there, config))
@@ -95,7 +100,39 @@ def test_adjacency_spectrum_is_the_singular_values() -> None:
     np.testing.assert_allclose(descriptor.spectrum(coords, 0.1), expected, rtol=1e-4)
 
 
+def test_shape_histograms_are_shares_of_pairs_and_of_heights() -> None:
+    points = box_shell(41, 31, 26) * 0.1
+    histograms = ShapeDescriptor().histograms(points)
+    distances, heights = histograms[:21], histograms[21:]
+    assert distances.sum() == pytest.approx(100.0)
+    assert heights.sum() == pytest.approx(100.0)
+    assert distances[11:].sum() == 0.0, "no two are farther apart than the diagonal of 5 m"
+    floor = 41 * 31 + 2 * (2 * (40 + 30))  # and two rings of the walls below 0.25 m
+    assert heights[0] == pytest.approx(100.0 * floor / len(points))
+
+
+def test_half_a_room_keeps_more_of_its_shape_than_of_its_size() -> None:
+    points = box_shell(81, 31, 26) * 0.1
+    half = points[points[:, 0] < 5.0]
+    shape = ShapeDescriptor().histograms
+    other = shape(box_shell(31, 31, 40) * 0.1)
+    assert np.abs(shape(half) - shape(points)).sum() < np.abs(other - shape(points)).sum()
+
+
+def test_the_topological_descriptor_sees_the_graph_and_no_geometry() -> None:
+    m = agent_map("a", A_ROOMS, T_BUILDING_A)
+    values = TopologicalDescriptor()(m)
+    corridor = A_ROOMS.index(0)
+    assert values[corridor, 0] == len(A_ROOMS) - 1
+    others = np.delete(values, corridor, axis=0)
+    assert (others[:, 0] == 1).all()
+    assert (others[:, 2] == len(A_ROOMS) - 1).all(), "their one neighbour is the corridor"
+    assert (values[:, 6:] >= 0).all()
+    assert values[corridor, 6:].sum() <= 360.0 + 1e-3
+
+
 def test_a_room_of_one_voxel_has_descriptors_too() -> None:
+    assert ShapeDescriptor().histograms(np.zeros((1, 3))).tolist() == [0.0] * 38
     assert SpectralDescriptor().spectrum(np.zeros((1, 3), np.int32), 0.1).tolist() == [0.0] * 32
     assert np.isfinite(EngineeredDescriptor().features(np.zeros((1, 3)), 0.1)).all()
 

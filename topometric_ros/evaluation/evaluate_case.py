@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 import topometric_ros
 from topometric_ros.alignment import MergeResult
@@ -29,10 +28,9 @@ from topometric_ros.evaluation.case_result import CaseResult, Numbers, Seconds
 from topometric_ros.evaluation.metrics_fusion import bytes_on_the_wire
 from topometric_ros.evaluation.metrics_rooms import (
     edge_counts,
-    room_overlap,
     room_scores,
 )
-from topometric_ros.evaluation.score_pair import ScoredAgent, score_pair
+from topometric_ros.evaluation.score_pair import ScoredAgent, score_pair, scored_agent
 from topometric_ros.evaluation.suite import CaseSpec
 from topometric_ros.fusion.merge import merge
 from topometric_ros.fusion.poses import Transform, apply, inverse
@@ -46,9 +44,6 @@ from topometric_ros.simulation.case import SimulatedAgent
 from topometric_ros.simulation.case_files import read_case
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels.grid import voxelise
-
-TRUE_REACH = 2.0
-"""A voxel has the true room of a labelled point within this many voxel edges."""
 
 
 def evaluate_case(
@@ -70,7 +65,7 @@ def evaluate_case(
     middle = time.process_time()
     result = merge(maps, config.merge, sources={m.agent: file for m, file in extracted})
     end = time.process_time()
-    scored = [_scored(agent, m) for agent, m in zip(case.agents, maps, strict=True)]
+    scored = [scored_agent(agent, m) for agent, m in zip(case.agents, maps, strict=True)]
     _keep(case_folder(out, spec.name, preset), result, scored)
     columns: dict[str, Any] = {
         "points": tuple(float(len(agent.points)) for agent in case.agents),
@@ -116,18 +111,6 @@ def _map_of(agent: SimulatedAgent, config: ToolConfig, out: Path) -> tuple[Topom
         (out / "maps").mkdir(parents=True, exist_ok=True)
         save_map(out / file, extraction.map)
     return load_map(out / file), file
-
-
-def _scored(agent: SimulatedAgent, m: TopometricMap) -> ScoredAgent:
-    """Give every voxel the true room of the nearest point of the cloud."""
-    tree = cKDTree(agent.points)
-    centres = apply(inverse(m.T_level_input), m.centres())
-    reach = TRUE_REACH * m.voxel_size
-    distance, nearest = tree.query(centres, distance_upper_bound=reach)
-    near = np.isfinite(distance)
-    true = np.full(len(centres), -1, dtype=np.int32)
-    true[near] = agent.room[nearest[near]]
-    return ScoredAgent(agent, m, tree, true, room_overlap(true, m.room))
 
 
 def _room_columns(case: EvaluationCase, scored: Sequence[ScoredAgent]) -> dict[str, Numbers]:

@@ -21,7 +21,8 @@ from topometric_ros.evaluation.metrics_matching import (
     right_by_counterpart,
     right_by_overlap,
 )
-from topometric_ros.evaluation.metrics_rooms import RoomOverlap
+from topometric_ros.evaluation.metrics_rooms import RoomOverlap, room_overlap
+from topometric_ros.fusion.poses import apply, inverse
 from topometric_ros.matching.assignment import assign
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.matching.propose import propose_from_rooms, room_distances, with_large_rooms
@@ -30,6 +31,9 @@ from topometric_ros.topometric_map import TopometricMap
 
 EVERY = 97
 """Displacements are measured on every so many of b's points, as `check/score.py` does."""
+
+TRUE_REACH = 2.0
+"""A voxel has the true room of a labelled point within this many voxel edges."""
 
 Pair = tuple[int, int]
 
@@ -47,6 +51,18 @@ class ScoredAgent:
     tree: cKDTree
     true_room: NDArray[np.int32]
     overlap: RoomOverlap
+
+
+def scored_agent(agent: SimulatedAgent, m: TopometricMap) -> ScoredAgent:
+    """Give every voxel of an agent's map the true room of the nearest point of its cloud."""
+    tree = cKDTree(agent.points)
+    centres = apply(inverse(m.T_level_input), m.centres())
+    reach = TRUE_REACH * m.voxel_size
+    distance, nearest = tree.query(centres, distance_upper_bound=reach)
+    near = np.isfinite(distance)
+    true = np.full(len(centres), -1, dtype=np.int32)
+    true[near] = agent.room[nearest[near]]
+    return ScoredAgent(agent, m, tree, true, room_overlap(true, m.room))
 
 
 def score_pair(

@@ -13,7 +13,8 @@ class DescriptorConfig:
     """What describes a room's geometry (thesis §4.3.1-4.3.3)."""
 
     names: tuple[str, ...] = parameter(
-        ("engineered", "spectral"), "Descriptors to compute and to compare: engineered, spectral."
+        ("engineered", "spectral"),
+        "Descriptors to compute and to compare: engineered, spectral, shape, topological.",
     )
     box: str = parameter(
         "oriented",

@@ -8,7 +8,9 @@ from topometric_ros.errors import ConfigurationError
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.matching.descriptors.base import Descriptor
 from topometric_ros.matching.descriptors.engineered import EngineeredDescriptor
+from topometric_ros.matching.descriptors.shape import ShapeDescriptor
 from topometric_ros.matching.descriptors.spectral import SpectralDescriptor
+from topometric_ros.matching.descriptors.topological import TopologicalDescriptor
 from topometric_ros.topometric_map import Descriptors, TopometricMap
 
 MERGED = "_with_neighbours"
@@ -18,7 +20,9 @@ __all__ = [
     "MERGED",
     "Descriptor",
     "EngineeredDescriptor",
+    "ShapeDescriptor",
     "SpectralDescriptor",
+    "TopologicalDescriptor",
     "describe",
     "described",
     "descriptors_of",
@@ -39,6 +43,8 @@ def descriptors_of(config: MatchingConfig) -> tuple[Descriptor, ...]:
         "spectral": SpectralDescriptor(
             c.eigenvalues, c.matrix, c.neighbourhood, c.spectral_cell, c.spectral_nodes
         ),
+        "shape": ShapeDescriptor(),
+        "topological": TopologicalDescriptor(),
     }
     unknown = [name for name in c.names if name not in known]
     if unknown or not c.names:
