@@ -329,3 +329,40 @@ def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
     assert call("Reset").code == 0
     assert call("SaveMap", path=str(tmp_path / "none.tmap")).code == 1
     assert process.stop(signal.SIGTERM) == 0
+
+
+def test_a_killed_merger_takes_up_what_it_knew(own: Graph, start: Any, tmp_path: Path) -> None:
+    from tf2_msgs.msg import TFMessage
+
+    from topometric_ros.io.map_files import save_map
+    from topometric_ros.nodes import qos
+
+    state = tmp_path / "state"
+    arguments = ("-p", "agents:=[/a, /b]", "-p", "max_rate:=10.0", "-p", f"state_file:={state}")
+    first = start(MERGER, *arguments)
+    for agent, size in (("a", (4.0, 5.0, 2.6)), ("b", (7.0, 3.0, 2.9))):
+        save_map(tmp_path / f"{agent}.tmap", small_map(agent, size))
+        request = service("LoadMap").Request(path=str(tmp_path / f"{agent}.tmap"), agent=agent)
+        assert own.call(service("LoadMap"), "/merger/load_map", request).code == 0
+    T = np.eye(4)
+    T[0, 3] = 10.0
+    request = service("SetAlignment").Request(agent_a="a", agent_b="b", t_a_b=T.ravel())
+    assert own.call(service("SetAlignment"), "/merger/set_alignment", request).code == 0
+    assert state.exists(), "what was set by hand is kept when the service has answered"
+    request = service("MergeNow").Request()
+    assert own.call(service("MergeNow"), "/merger/merge_now", request).aligned == 2
+    first.stop(signal.SIGKILL)
+
+    second = start(MERGER, *arguments)
+    transforms = own.subscribe(TFMessage, "/tf", qos.TRANSFORMS)
+    wait_for(
+        lambda: (
+            len(transforms)
+            and {"a/map", "b/map"} == {e.child_frame_id for e in transforms.last.transforms}
+        ),
+        START_S,
+        "/tf of both agents, of whom nothing was sent again",
+        (second,),
+    )
+    assert "took up the maps of a, b" in second.log
+    assert second.stop(signal.SIGTERM) == 0

@@ -85,3 +85,8 @@ class MergerNodeConfig:
         minimum=-1,
         maximum=1000,
     )
+    state_file: str = parameter(
+        "",
+        "File that keeps maps, alignments and what was set by hand across a restart; written after "
+        "each merge, read at the start. Empty: nothing is kept.",
+    )

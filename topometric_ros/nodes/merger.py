@@ -28,6 +28,7 @@ from topometric_ros.nodes.grids import GridError, storey_grid
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.merger_services import serve
+from topometric_ros.nodes.merger_state import StateKeeper
 from topometric_ros.nodes.messages import message_classes
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
 from topometric_ros.nodes.worker import Inbox, Worker
@@ -69,6 +70,9 @@ class Merger(TopometricNode):
         self._placed: dict[str, NDArray[np.float64]] = {}
         self._frames: dict[str, str] = {}
         self._worker = Worker(self._work, self.failed)
+        self._keeper = StateKeeper(self._own.state_file, self.get_logger())
+        self._keeper.restore(self.session)
+        self.fresh = bool(self.session.maps)
         self._connect()
         serve(self)
         self.get_logger().info(f"merger of {', '.join(self.agents)}")
@@ -165,6 +169,11 @@ class Merger(TopometricNode):
                 self.get_logger().info(f"{' and '.join(x.agents)}: {x.status}: {x.reason}")
         self.place()
         self._publish(result)
+        self.remember()
+
+    def remember(self) -> None:
+        """Write the state file, if there is one; the caller holds `working`."""
+        self.report.unsaved = self._keeper.keep(self.session)
 
     def _publish(self, result: MergeResult) -> None:
         now = self.get_clock().now()

@@ -52,6 +52,8 @@ class MergerReport:
     inputs: dict[str, InputReport] = field(default_factory=dict)
     result: MergeResult | None = None
     failure: str = ""
+    unsaved: str = ""
+    """Why the state could not be written, if so."""
 
     def statuses(self, node: str, now: int) -> list[Status]:
         """Return the statuses of agents and alignments for `/diagnostics`; `now` in ns."""
@@ -73,6 +75,8 @@ class MergerReport:
         values = {"global frame": self.result.global_frame, **self.result.timings}
         if self.result.warnings:
             text = f"{text}; {self.result.warnings[0]}"
+        if self.unsaved:
+            return Status(f"{node}: merge", Level.ERROR, f"{text}; {self.unsaved}", values)
         complete = placed == len(self.inputs) and not self.result.warnings
         return Status(f"{node}: merge", Level.OK if complete else Level.WARN, text, values)
 

@@ -63,6 +63,7 @@ class _MergerServices:
             inputs = {agent: InputReport(x.topic) for agent, x in self._node.report.inputs.items()}
             self._node.report = MergerReport(inputs)
             self._node.place()
+            self._node.remember()
         response.code, response.message = response.SUCCESS, "all maps and alignments forgotten"
         self._node.get_logger().info(response.message)
         return response
@@ -116,6 +117,7 @@ class _MergerServices:
                 response.code, response.message = response.INVALID_TRANSFORM, str(error)
                 return response
             self._node.fresh = bool(self._node.session.maps)
+            self._node.remember()
         response.code, response.message = response.SUCCESS, f"alignment of {a} and {b} set by hand"
         self._node.get_logger().info(response.message)
         return response
@@ -129,6 +131,7 @@ class _MergerServices:
                 response.code, response.message = response.UNKNOWN_AGENT, str(error)
                 return response
             self._node.fresh = bool(self._node.session.maps)
+            self._node.remember()
         if not removed:
             response.code = response.NO_ALIGNMENT
             response.message = f"no alignment of {a} and {b} was set by hand"

@@ -10,7 +10,6 @@ import dataclasses
 import itertools
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import merge
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.runtime.extractor_session import SessionError
+from topometric_ros.runtime.merger_state import Known, MergerState, Version
 from topometric_ros.runtime.stability import steadier, support
 from topometric_ros.runtime.transforms import check_rigid
 from topometric_ros.stopwatch import Stopwatch
@@ -33,17 +33,6 @@ from topometric_ros.topometric_map import TopometricMap
 logger = logging.getLogger(__name__)
 
 Pair = tuple[str, str]
-_Version = tuple[str, int]
-
-
-@dataclass(frozen=True)
-class _Known:
-    """An alignment and the versions (session, sequence) of the two maps that it was made from."""
-
-    alignment: Alignment
-    versions: tuple[_Version, _Version]
-    support: float
-    """Voxels that both maps held when the alignment was made."""
 
 
 class MergerSession:
@@ -70,10 +59,10 @@ class MergerSession:
         """The newest result, None before the first."""
         self._newer_session: dict[str, TopometricMap] = {}
         self._ended: dict[str, set[str]] = {}
-        self._known: dict[Pair, _Known] = {}
+        self._known: dict[Pair, Known] = {}
         self._fixed: dict[Pair, Alignment] = {}
         self._prepared: dict[str, Prepared] = {}
-        self._refused: dict[Pair, tuple[_Version, _Version]] = {}
+        self._refused: dict[Pair, tuple[Version, Version]] = {}
 
     @property
     def stale(self) -> tuple[str, ...]:
@@ -199,6 +188,29 @@ class MergerSession:
         """Return the alignments that were set by hand."""
         return dict(self._fixed)
 
+    def state(self) -> MergerState:
+        """Return what is known, to be restored after a restart."""
+        return MergerState(
+            order=tuple(self._order),
+            maps=dict(self.maps),
+            newer=dict(self._newer_session),
+            sources=dict(self.sources),
+            ended={agent: tuple(sorted(sessions)) for agent, sessions in self._ended.items()},
+            known=tuple(self._known.values()),
+            fixed=tuple(self._fixed.values()),
+        )
+
+    def restore(self, state: MergerState) -> None:
+        """Take up a state again: what was known before is forgotten, the agents' order is kept."""
+        named = list(self._order)
+        self.reset()
+        self._order = [*named, *(agent for agent in state.order if agent not in named)]
+        self.maps, self._newer_session = dict(state.maps), dict(state.newer)
+        self.sources = dict(state.sources)
+        self._ended = {agent: set(sessions) for agent, sessions in state.ended.items()}
+        self._known = {entry.alignment.agents: entry for entry in state.known}
+        self._fixed = {alignment.agents: alignment for alignment in state.fixed}
+
     def _require_pair(self, a: str, b: str) -> None:
         for agent in (a, b):
             if agent not in self._order:
@@ -241,7 +253,7 @@ class MergerSession:
             one, two = self._prepare(a), self._prepare(b)
             alignment = align(one, two, self.config, watch)
             if alignment.accepted:
-                self._known[pair] = _Known(alignment, versions, support(alignment, one, two))
+                self._known[pair] = Known(alignment, versions, support(alignment, one, two))
                 return True
             self._refused[pair] = versions
         return False
@@ -266,21 +278,21 @@ class MergerSession:
         if entry is not None and self._in_use(pair, entry) and self._same_sessions(a, b, entry):
             with watch.stage("stability"):
                 new, held = steadier(entry.alignment, entry.support, new, one, two, self.config)
-        self._known[pair] = _Known(new, (_version(a), _version(b)), held)
+        self._known[pair] = Known(new, (_version(a), _version(b)), held)
 
     def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:
         return (x, y) if self._order.index(x.agent) < self._order.index(y.agent) else (y, x)
 
-    def _in_use(self, pair: Pair, entry: _Known) -> bool:
+    def _in_use(self, pair: Pair, entry: Known) -> bool:
         """Whether robots steer by the alignment of a pair: one that was withdrawn may change."""
         alignments = self.result.alignments if self.result else ()
         stands = any(x.accepted and x.agents == pair for x in alignments)
         return stands and entry.alignment.accepted
 
-    def _current(self, pair: Pair, entry: _Known) -> bool:
+    def _current(self, pair: Pair, entry: Known) -> bool:
         return entry.versions == (_version(self.maps[pair[0]]), _version(self.maps[pair[1]]))
 
-    def _same_sessions(self, a: TopometricMap, b: TopometricMap, entry: _Known) -> bool:
+    def _same_sessions(self, a: TopometricMap, b: TopometricMap, entry: Known) -> bool:
         return tuple(version[0] for version in entry.versions) == (a.session, b.session)
 
     def _prepare(self, m: TopometricMap) -> Prepared:
@@ -303,5 +315,5 @@ class MergerSession:
         return f"{agent}: session {new} is not aligned yet; its map of session {old} is kept"
 
 
-def _version(m: TopometricMap) -> _Version:
+def _version(m: TopometricMap) -> Version:
     return m.session, m.sequence

@@ -1,0 +1,184 @@
+"""What a merger knows, as a file: maps, alignments, what was set by hand. Survives a restart.
+
+The container is that of a .tmap file (`io/map_format.py`) with whole .tmap files as its sections:
+sizes and checksums are verified before anything is believed. Written in one step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
+from topometric_ros.io.map_files import decode_map, encode_map
+from topometric_ros.io.map_format import MapFileError, Section, decode, encode
+from topometric_ros.io.summaries import write_atomically
+from topometric_ros.runtime.transforms import TransformError, check_rigid
+from topometric_ros.topometric_map import TopometricMap
+
+SCHEMA = "topometric-state/1"
+
+Version = tuple[str, int]
+"""Session and sequence of a map."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """An alignment and the versions (session, sequence) of the two maps that it was made from."""
+
+    alignment: Alignment
+    versions: tuple[Version, Version]
+    support: float
+    """Voxels that both maps held when the alignment was made."""
+
+
+@dataclass(frozen=True)
+class MergerState:
+    """A merger's memory: see :class:`MergerSession` for what the parts mean.
+
+    `newer` are maps of sessions that are not aligned yet, `ended` the sessions that each agent has
+    left behind, `fixed` the alignments that were set by hand.
+    """
+
+    order: tuple[str, ...] = ()
+    maps: Mapping[str, TopometricMap] = field(default_factory=dict)
+    newer: Mapping[str, TopometricMap] = field(default_factory=dict)
+    sources: Mapping[str, str] = field(default_factory=dict)
+    ended: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    known: tuple[Known, ...] = ()
+    fixed: tuple[Alignment, ...] = ()
+
+
+def save_state(path: Path, state: MergerState) -> None:
+    """Write a state in one step: an older file stays until the new one is whole.
+
+    Raises
+    ------
+    MapFileError
+        The file cannot be written.
+    """
+    fields = {
+        "schema": SCHEMA,
+        "order": list(state.order),
+        "sources": dict(state.sources),
+        "ended": {agent: list(sessions) for agent, sessions in state.ended.items()},
+        "maps": sorted(state.maps),
+        "newer": sorted(state.newer),
+        "known": [
+            {
+                "alignment": _fields(entry.alignment),
+                "versions": [list(version) for version in entry.versions],
+                "support": float(entry.support),
+            }
+            for entry in state.known
+        ],
+        "fixed": [_fields(alignment) for alignment in state.fixed],
+    }
+    sections = [
+        Section(f"{kind}[{agent}]", "array", np.frombuffer(encode_map(held[agent]), np.int8))
+        for kind, held in (("maps", state.maps), ("newer", state.newer))
+        for agent in sorted(held)
+    ]
+    write_atomically(path, encode(fields, sections))
+
+
+def load_state(path: Path) -> MergerState:
+    """Read a state.
+
+    Raises
+    ------
+    MapFileError
+        The file is missing, damaged, or of another kind or version.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or error
+        raise MapFileError(f"{path}: the state cannot be read: {reason}") from error
+    fields, arrays = decode(data, str(path))
+    if fields.get("schema") != SCHEMA:
+        raise MapFileError(f"{path}: schema: expected {SCHEMA!r}, got {fields.get('schema')!r}")
+    try:
+        return MergerState(
+            order=tuple(str(agent) for agent in fields["order"]),
+            maps=_maps(fields["maps"], "maps", arrays, path),
+            newer=_maps(fields["newer"], "newer", arrays, path),
+            sources={str(agent): str(source) for agent, source in fields["sources"].items()},
+            ended={str(a): tuple(map(str, sessions)) for a, sessions in fields["ended"].items()},
+            known=tuple(_known(entry) for entry in fields["known"]),
+            fixed=tuple(_alignment(entry) for entry in fields["fixed"]),
+        )
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, TransformError) as error:
+        raise MapFileError(f"{path}: the state makes no sense: {error!r}") from error
+
+
+def _maps(
+    agents: list[str], kind: str, arrays: Mapping[str, NDArray[Any]], path: Path
+) -> dict[str, TopometricMap]:
+    return {
+        str(agent): decode_map(arrays[f"{kind}[{agent}]"].tobytes(), f"{path}: {kind} of {agent}")[
+            0
+        ]
+        for agent in agents
+    }
+
+
+def _known(entry: Mapping[str, Any]) -> Known:
+    (session_a, sequence_a), (session_b, sequence_b) = entry["versions"]
+    versions = ((str(session_a), int(sequence_a)), (str(session_b), int(sequence_b)))
+    return Known(_alignment(entry["alignment"]), versions, float(entry["support"]))
+
+
+def _fields(alignment: Alignment) -> dict[str, Any]:
+    return {
+        "agents": list(alignment.agents),
+        "status": str(alignment.status),
+        "reason": alignment.reason,
+        "T_a_b": _rows(alignment.T_a_b),
+        "alternatives": [[_rows(x.T_a_b), float(x.score)] for x in alignment.alternatives],
+        "confidence": float(alignment.confidence),
+        "overlap": float(alignment.overlap),
+        "rmse": float(alignment.rmse),
+        "matches": [[int(m.room_a), int(m.room_b), float(m.distance)] for m in alignment.matches],
+        "covariance": _rows(alignment.covariance),
+        "score": float(alignment.score),
+    }
+
+
+def _alignment(entry: Mapping[str, Any]) -> Alignment:
+    a, b = entry["agents"]
+    T = _matrix(entry["T_a_b"], 4)
+    if T is not None:
+        check_rigid(T, f"alignment of {a} and {b}")
+    alternatives = ((_matrix(rows, 4), float(score)) for rows, score in entry["alternatives"])
+    return Alignment(
+        agents=(str(a), str(b)),
+        status=AlignmentStatus(entry["status"]),
+        reason=str(entry["reason"]),
+        T_a_b=T,
+        alternatives=tuple(Alternative(pose, s) for pose, s in alternatives if pose is not None),
+        confidence=float(entry["confidence"]),
+        overlap=float(entry["overlap"]),
+        rmse=float(entry["rmse"]),
+        matches=tuple(RoomMatch(int(i), int(j), float(d)) for i, j, d in entry["matches"]),
+        covariance=_matrix(entry["covariance"], 6),
+        score=float(entry["score"]),
+    )
+
+
+def _rows(matrix: NDArray[np.float64] | None) -> list[list[float]] | None:
+    return None if matrix is None else [[float(value) for value in row] for row in matrix]
+
+
+def _matrix(rows: list[list[float]] | None, size: int) -> NDArray[np.float64] | None:
+    if rows is None:
+        return None
+    matrix = np.array(rows, np.float64)
+    if matrix.shape != (size, size):
+        raise ValueError(f"expected a matrix of {size} x {size} numbers, got {matrix.shape}")
+    return matrix
