@@ -10,14 +10,17 @@ import pytest
 from test.helpers import moved, yaw_transform
 from test.helpers_search import FLAT, building, map_of
 from topometric_ros.matching.evidence import evaluate, refine
+from topometric_ros.matching.main_direction import main_direction
 from topometric_ros.matching.search import SearchConfig, search_poses
 from topometric_ros.matching.search_fields import (
+    MapFields,
     SearchError,
     candidate_heights,
     prepare,
     storey_pairs,
 )
 from topometric_ros.matching.search_poses import pose_of
+from topometric_ros.matching.search_sweep import sweep
 
 CONFIG = SearchConfig()
 SCORING = CONFIG.scoring
@@ -53,6 +56,21 @@ def test_a_map_is_found_in_another_at_any_yaw(flat, map_a, degrees):
     best = search_poses(map_a, map_b, CONFIG)[0]
     common = moved(flat[flat[:, 0] > 3.0], np.linalg.inv(truth))
     assert_same_pose(best.T_a_b, truth, common, 0.1, 0.5)
+
+
+def test_the_yaws_that_are_swept_bring_main_direction_onto_main_direction(flat):
+    # Long enough that half a step of yaw carries its ends a metre off.
+    row = np.concatenate([flat + (14.2 * k, 0.0, 0.0) for k in range(4)])
+    T_b_a = yaw_transform(np.radians(1.5), (3.0, -7.5, 0.0))
+    fields_a, fields_b = (prepare(map_of(row, T=T), SCORING) for T in (None, T_b_a))
+    turn = np.degrees(main_direction(fields_b) - main_direction(fields_a)) % 90.0
+    assert turn == pytest.approx(1.5, abs=0.1)
+    best = sweep(fields_a, fields_b, CONFIG.sweep)[0]
+    assert np.degrees(abs(pose_of(T_b_a @ best.matrix()).yaw)) < 0.1
+
+
+def test_a_map_without_walls_has_a_main_direction_too():
+    assert main_direction(MapFields(())) == 0.0
 
 
 def test_the_right_storey_is_found(flat):

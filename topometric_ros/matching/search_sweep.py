@@ -1,8 +1,9 @@
 """Every yaw and every shift at once: the score of all planar poses by FFT correlation.
 
 At each yaw b's walls, their free sides and its free floor are drawn on a 0.25 m raster and
-correlated with a's, the storeys that meet at a height added up. A building's own directions are not
-asked for: proposing yaws from wall directions misses buildings without a main one.
+correlated with a's, the storeys that meet at a height added up. All yaws are tried, since proposing
+them from wall directions misses buildings without a main one; but the grid of yaws is laid so that
+it brings main direction onto main direction: half a step beside, walls 100 m away are 2.6 m off.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.configuration import parameter
+from topometric_ros.matching.main_direction import main_direction
 from topometric_ros.matching.search_fields import (
     CELL,
     MapFields,
@@ -72,9 +74,10 @@ def sweep(a: MapFields, b: MapFields, config: SweepConfig) -> list[Pose]:
     fixed = [_transform(_kernels(_draw_fixed(s, frame), config), frame) for s in a.storeys]
     pairs = [storey_pairs(a, b, height) for height in heights]
     half_turn = round(180.0 / config.yaw_step)
+    offset = (main_direction(a) - main_direction(b)) % (np.pi / half_turn)
     rows: list[tuple[float, float, float, float, int]] = []
     for k in range(half_turn):
-        yaw = np.pi * k / half_turn
+        yaw = offset + np.pi * k / half_turn
         moving = [_transform(_draw_moving(s, frame, yaw), frame) for s in b.storeys]
         for level, meeting in enumerate(pairs):
             for turned in (False, True):
