@@ -5,7 +5,6 @@ from __future__ import annotations
 import array
 import json
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 
 from test import helpers_ros
 from test.helpers import box_room
-from test.helpers_ros import Graph, NodeProcess, wait_for
+from test.helpers_ros import Graph, wait_for
 
 pytestmark = [
     pytest.mark.dds,
@@ -26,28 +25,6 @@ EXTRACTOR = "topometric_ros.nodes.extractor"
 MERGER = "topometric_ros.nodes.merger"
 START_S = 60.0
 WORK_S = 90.0
-
-
-@pytest.fixture
-def own() -> Iterator[Graph]:
-    with helpers_ros.graph() as graph:
-        yield graph
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Any]:
-    """Start node processes; whatever is still there at the end of the test is killed."""
-    processes: list[NodeProcess] = []
-
-    def begin(module: str, *arguments: str) -> NodeProcess:
-        log = tmp_path / f"{len(processes)}_{module.rsplit('.', 1)[-1]}.log"
-        processes.append(NodeProcess(module, ["--ros-args", *arguments], log))
-        return processes[-1]
-
-    yield begin
-    for process in processes:
-        if process.alive:
-            process.stop(signal.SIGKILL)
 
 
 def flat() -> np.ndarray:

@@ -1,0 +1,35 @@
+"""What tests with real node processes share: the test's own graph, and processes that end with it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from test import helpers_ros
+from test.helpers_ros import Graph, NodeProcess
+
+
+@pytest.fixture
+def own() -> Iterator[Graph]:
+    with helpers_ros.graph() as graph:
+        yield graph
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Any]:
+    """Start node processes; whatever is still there at the end of the test is killed."""
+    processes: list[NodeProcess] = []
+
+    def begin(module: str, *arguments: str) -> NodeProcess:
+        log = tmp_path / f"{len(processes)}_{module.rsplit('.', 1)[-1]}.log"
+        processes.append(NodeProcess(module, ["--ros-args", *arguments], log))
+        return processes[-1]
+
+    yield begin
+    for process in processes:
+        if process.alive:
+            process.stop(signal.SIGKILL)
