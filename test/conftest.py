@@ -1,4 +1,4 @@
-"""What tests with real node processes share: the test's own graph, and processes that end with it."""
+"""What tests with real node processes share: a graph of their own, processes that end with it."""
 
 from __future__ import annotations
 
