@@ -35,19 +35,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--voxel-size", type=float, metavar="M", help="edge of a voxel in metres (default 0.1)"
     )
-    command.add_argument(
-        "--up",
-        choices=("x", "y", "z", "-x", "-y", "-z"),
-        default="z",
-        help="axis of the clouds that points up; a negative one is written --up=-y",
-    )
-    command.add_argument(
-        "--scale",
-        type=float,
-        default=1.0,
-        metavar="M",
-        help="length in metres of the unit that cloud files are in, as 0.001 for millimetres",
-    )
+    add_cloud_arguments(command)
     command.add_argument(
         "--mode",
         choices=MODES,
@@ -65,6 +53,23 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seed", type=int, default=0, help="of the session ids (default 0)")
     command.add_argument("--json", action="store_true", help="print the result on stdout as JSON")
     add_verbose(command)
+
+
+def add_cloud_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the arguments that say how cloud files are to be read."""
+    command.add_argument(
+        "--up",
+        choices=("x", "y", "z", "-x", "-y", "-z"),
+        default="z",
+        help="axis of the clouds that points up; a negative one is written --up=-y",
+    )
+    command.add_argument(
+        "--scale",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help="length in metres of the unit that cloud files are in, as 0.001 for millimetres",
+    )
 
 
 def add_verbose(command: argparse.ArgumentParser) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topometric_ros.cli.common import (
+    add_cloud_arguments,
     add_verbose,
     config_of,
     finish_progress,
@@ -56,9 +57,7 @@ def add_parser(commands: Any) -> None:
         "--config", default="default", metavar="F", help="of the extraction: YAML file or preset"
     )
     command.add_argument("--voxel-size", type=float, metavar="M", help="of the extraction, metres")
-    command.add_argument(
-        "--up", choices=("x", "y", "z"), default="z", help="axis of the cloud that points up"
-    )
+    add_cloud_arguments(command)
     add_verbose(command)
     command.set_defaults(command=view, mode="auto", map_frame="", seed=0)
 
