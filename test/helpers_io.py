@@ -44,9 +44,12 @@ def random_map(seed: int = 0, agent: str = "robot1", voxels: int = 500) -> Topom
         viewpoints=rng.normal(size=(6, 3)).astype(np.float32),
         rooms=(
             Room(3, 0, (-2.0, 0.1, 0.7), (low, high), int((room == 3).sum()), 12.34, False),
-            Room(7, 0, (2.0, 0.2, 0.9), (low, high), int((room == 7).sum()), 1 / 7, False),
+            Room(
+                *(7, 0, (2.0, 0.2, 0.9), (low, high), int((room == 7).sum()), 1 / 7, False),
+                *((1.5, 0.3, 1 / 3), 11.1, 28.9, 2 / 3, 1.7, "corridor", 0.8),
+            ),
         ),
-        passages=(Passage((3, 7), (0.0, 0.1, 0.2), 0.9),),
+        passages=(Passage((3, 7), (0.0, 0.1, 0.2), 0.9, 1.95, "door", 1 / 3),),
         storeys=(
             Storey(0, 0.01, None, StoreyLayers(0.1, (-4.0, 1 / 9), **masks)),
             Storey(1, 2.9, 5.3, StoreyLayers(0.1, (-4.0, 1 / 9), **masks)),

@@ -149,13 +149,46 @@ def test_the_summary_has_the_contract_s_keys() -> None:
     summary = json.loads(json.dumps(map_summary(random_map()), allow_nan=False))
     assert list(summary) == [
         *("schema", "agent", "frame_id", "voxel_size", "warnings", "T_level_input"),
-        *("rooms", "passages", "storeys"),
+        *("rooms", "passages", "storeys", "building"),
     ]
     assert list(summary["rooms"][0]) == [
         *("id", "storey", "centroid", "bounds", "voxels", "area", "isolated"),
+        *("centre", "floor_area", "volume", "completeness", "frontier", "kind", "kind_confidence"),
     ]
-    assert list(summary["passages"][0]) == ["rooms", "position", "width"]
-    assert summary["storeys"][0] == {"id": 0, "floor_z": 0.01, "ceiling_z": None}
+    assert list(summary["passages"][0]) == [
+        *("rooms", "position", "width", "height", "kind", "confidence"),
+    ]
+
+
+def test_the_summary_is_a_tree_of_building_storeys_and_rooms() -> None:
+    m = random_map()
+    upstairs = replace(m.rooms[1], storey=1)
+    summary = map_summary(replace(m, rooms=(m.rooms[0], upstairs)))
+    assert summary["building"]["storeys"] == [0, 1]
+    assert summary["building"]["floor_area"] == 11.1
+    assert summary["storeys"][0] == {
+        **{"id": 0, "floor_z": 0.01, "ceiling_z": None},
+        **{"rooms": [3], "links": [0]},
+    }
+    assert summary["storeys"][1]["rooms"] == [7]
+    assert summary["storeys"][1]["links"] == [0]
+
+
+def test_a_file_from_before_rooms_had_attributes_still_loads() -> None:
+    size = int.from_bytes(WHOLE[6:10], "little")
+    fields = json.loads(WHOLE[14 : 14 + size])
+    old = {"rooms": ("centre", "floor_area", "volume", "completeness", "frontier")}
+    old["rooms"] += ("kind", "kind_confidence")
+    old["passages"] = ("height", "kind", "confidence")
+    changes = {
+        part: [{k: v for k, v in entry.items() if k not in names} for entry in fields[part]]
+        for part, names in old.items()
+    }
+    m = decode_map(with_header(**changes), "old.tmap")[0]
+    assert m.rooms[1].kind == "unknown"
+    assert m.rooms[1].centre is None
+    assert m.passages[0].height is None
+    assert m.rooms_of(0) == (3, 7)
 
 
 def test_rooms_ply_lies_in_the_frame_of_the_input(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ from topometric_ros.errors import TopometricError
 
 SCHEMA = "topometric-map/1"
 NO_ROOM = -1
+PASSAGE_KINDS = ("unknown", "door", "opening", "stairs", "ramp")
+ROOM_KINDS = ("unknown", "room", "corridor", "hall", "stairwell")
 OFFSET_STEPS = 16
 """A voxel's surface offset is kept in sixteenths of the voxel edge."""
 
@@ -66,8 +68,9 @@ class Room:
     """A cluster of similar visibilities (§4.2.8); a node of the topological graph.
 
     `id` lasts across versions of a map. `bounds` are those of the whole cells, `voxels` counts the
-    voxels with this label, `area` is the horizontal area they cover (m²), `isolated` says that no
-    passage leads to it.
+    voxels with this label, `area` is the horizontal area they cover (m²), walls included,
+    `isolated` says that no passage leads to it. The fields after it are 0 or None where a map was
+    made without them.
     """
 
     id: int
@@ -77,15 +80,50 @@ class Room:
     voxels: int
     area: float
     isolated: bool
+    centre: tuple[float, float, float] | None = None
+    """A place in the room where an agent can stand, clear of walls and furniture; None: nowhere."""
+    floor_area: float = 0.0
+    """m², inside the walls, what stands on the floor included."""
+    volume: float | None = None
+    """m³ between floor and ceiling; None where no ceiling was seen on its storey."""
+    completeness: float = 0.0
+    """0 to 1: the part of the floor's rim at which something was seen, a wall or another room."""
+    frontier: float = 0.0
+    """m: the rest of the rim, open to space that was not seen."""
+    kind: str = "unknown"
+    """One of `ROOM_KINDS`."""
+    kind_confidence: float = 0.0
+    """0 to 1."""
+
+
+@dataclass(frozen=True)
+class Building:
+    """The root of the hierarchy building, storey, room.
+
+    `storeys` are ids, the lowest first; `bounds` hold all rooms and `floor_area` (m²) is theirs.
+    """
+
+    storeys: tuple[int, ...]
+    bounds: tuple[tuple[float, float, float], tuple[float, float, float]]
+    floor_area: float
 
 
 @dataclass(frozen=True)
 class Passage:
-    """Where the navigable parts of two rooms meet (§4.2.9); an edge of the topological graph."""
+    """Where the navigable parts of two rooms meet (§4.2.9); an edge of the topological graph.
+
+    Metres, level frame. `position` is the middle of the passage, on the floor or on the stairs.
+    """
 
     rooms: tuple[int, int]
     position: tuple[float, float, float]
     width: float
+    height: float | None = None
+    """Free height: to the lintel, or over stairs; None where nothing was seen above."""
+    kind: str = "unknown"
+    """One of `PASSAGE_KINDS`."""
+    confidence: float = 1.0
+    """0 to 1: how sure it is that this is a passage between these rooms."""
 
 
 @dataclass(frozen=True)
@@ -149,9 +187,36 @@ class TopometricMap:
                 return room
         raise MapError(f"no room {room_id} in the map of {self.agent!r}")
 
+    def building(self) -> Building:
+        """Return the root of the hierarchy; its bounds are zeros where there is no room."""
+        low, high = np.zeros((2, 3))
+        if self.rooms:
+            bounds = np.array([room.bounds for room in self.rooms])
+            low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+        return Building(
+            storeys=tuple(s.id for s in sorted(self.storeys, key=lambda s: s.floor_z)),
+            bounds=(_triple(low), _triple(high)),
+            floor_area=float(sum(room.floor_area for room in self.rooms)),
+        )
+
+    def rooms_of(self, storey_id: int) -> tuple[int, ...]:
+        """Return the ids of the rooms on a storey."""
+        return tuple(room.id for room in self.rooms if room.storey == storey_id)
+
+    def links_of(self, storey_id: int) -> tuple[int, ...]:
+        """Return which passages (their indices) lead from a storey to another one."""
+        storey = {room.id: room.storey for room in self.rooms}
+        ends = [[storey[room] for room in passage.rooms] for passage in self.passages]
+        return tuple(i for i, (a, b) in enumerate(ends) if a != b and storey_id in (a, b))
+
     def descriptor(self, name: str) -> Descriptors | None:
         """Return the descriptors of that name, or None."""
         return next((d for d in self.descriptors if d.name == name), None)
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
 
 
 def _check_map(m: TopometricMap) -> None:
@@ -217,13 +282,18 @@ def _check_graph(m: TopometricMap) -> None:
     for room in m.rooms:
         if room.storey not in storeys:
             raise MapError(f"room {room.id} lies on storey {room.storey}; known: {sorted(storeys)}")
-        if not np.isfinite((*room.centroid, *np.ravel(room.bounds), room.area)).all():
-            raise MapError(f"room {room.id}: centroid, bounds and area must be finite")
+        _check_room(room)
     for passage in m.passages:
         if not set(passage.rooms) <= set(ids) or passage.rooms[0] == passage.rooms[1]:
             raise MapError(f"passage between rooms {passage.rooms}; known: {ids}")
-        if not np.isfinite((*passage.position, passage.width)).all():
-            raise MapError(f"passage {passage.rooms}: position and width must be finite")
+        height = 0.0 if passage.height is None else passage.height
+        if not np.isfinite((*passage.position, passage.width, height)).all():
+            raise MapError(f"passage {passage.rooms}: position, width and height must be finite")
+        if passage.kind not in PASSAGE_KINDS or not 0.0 <= passage.confidence <= 1.0:
+            raise MapError(
+                f"passage {passage.rooms}: expected a kind of {', '.join(PASSAGE_KINDS)} and a "
+                f"confidence of 0 to 1, got {passage.kind!r} and {passage.confidence}"
+            )
     for entry in m.descriptors:
         if entry.values.dtype != np.float32 or entry.values.shape[:1] != (len(ids),):
             raise MapError(
@@ -232,3 +302,22 @@ def _check_graph(m: TopometricMap) -> None:
             )
         if not np.isfinite(entry.values).all():
             raise MapError(f"descriptor {entry.name}: values must be finite")
+
+
+def _check_room(room: Room) -> None:
+    """Raise MapError where a room's numbers cannot be."""
+    numbers = (*room.centroid, *np.ravel(room.bounds), room.area)
+    if not np.isfinite(numbers).all():
+        raise MapError(f"room {room.id}: centroid, bounds and area must be finite")
+    measured = (room.floor_area, room.volume or 0.0, room.frontier, *(room.centre or ()))
+    if not np.isfinite(measured).all():
+        raise MapError(f"room {room.id}: expected finite attributes, got {measured}")
+    if not 0.0 <= room.completeness <= 1.0 or not 0.0 <= room.kind_confidence <= 1.0:
+        raise MapError(
+            f"room {room.id}: completeness and kind_confidence: expected 0 to 1, "
+            f"got {room.completeness} and {room.kind_confidence}"
+        )
+    if room.kind not in ROOM_KINDS:
+        raise MapError(
+            f"room {room.id}: expected a kind of {', '.join(ROOM_KINDS)}, got {room.kind!r}"
+        )

@@ -3,41 +3,63 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.extraction.attributes import room_attributes
+from topometric_ros.extraction.mapped_rooms import MappedRooms
 from topometric_ros.topometric_map import NO_ROOM, Passage, Room
 from topometric_ros.voxels.grid import VoxelGrid
 
 
-def assemble_rooms(
-    grid: VoxelGrid,
-    room: NDArray[np.int32],
-    storey: NDArray[np.int32],
-    passages: Iterable[Passage],
-) -> tuple[Room, ...]:
-    """Describe every room that has voxels, ordered by id.
+def storeys_of_rooms(room: NDArray[np.int32], storey: NDArray[np.int32]) -> dict[int, int]:
+    """Return the storey of each room: that of most of its voxels.
 
     Parameters
     ----------
-    grid : the occupied voxels
     room : (N,) int32, NO_ROOM for voxels in none
-    storey : (N,) int32, the storey of each voxel; a room lies on that of most of its voxels
-    passages : those that lead to a room keep it from being isolated
+    storey : (N,) int32, the storey of each voxel
+    """
+    known = np.flatnonzero(room != NO_ROOM)
+    if len(known) == 0:
+        return {}
+    ids, group = np.unique(room[known], return_inverse=True)
+    of_most = majority(group.reshape(-1), storey[known])
+    return dict(zip(ids.tolist(), of_most.tolist(), strict=True))
+
+
+def assemble_rooms(rooms: MappedRooms, passages: Iterable[Passage]) -> tuple[Room, ...]:
+    """Describe every room that has voxels with its attributes, ordered by id.
+
+    Rooms that none of the `passages` leads to are isolated.
     """
     reached = {room_id for passage in passages for room_id in passage.rooms}
+    measured = room_attributes(rooms)
+    room = rooms.room
     order = np.argsort(room, kind="stable")
     ids, starts = np.unique(room[order], return_index=True)
-    rooms = []
+    described = []
     for room_id, rows in zip(ids.tolist(), np.split(order, starts[1:]), strict=True):
         if room_id != NO_ROOM:
-            of_most = int(np.argmax(np.bincount(storey[rows])))
-            rooms.append(measured_room(grid, rows, room_id, of_most, room_id not in reached))
-    return tuple(rooms)
+            storey = rooms.storey_of_room[room_id]
+            plain = _room(rooms.grid, rows, room_id, storey, room_id not in reached)
+            found = measured[room_id]
+            described.append(
+                replace(
+                    plain,
+                    centre=found.centre,
+                    floor_area=found.floor_area,
+                    volume=found.volume,
+                    completeness=found.completeness,
+                    frontier=found.frontier,
+                )
+            )
+    return tuple(described)
 
 
-def measured_room(
+def _room(
     grid: VoxelGrid, rows: NDArray[np.int64], room_id: int, storey: int, isolated: bool
 ) -> Room:
     """Return the room of the voxels `rows` (n,), n > 0, of a grid; `bounds` hold whole cells."""

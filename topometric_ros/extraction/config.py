@@ -38,7 +38,7 @@ class ExtractionConfig:
     narrowings: NarrowingsConfig = field(default_factory=NarrowingsConfig)
     views: ThesisRoomsConfig = field(default_factory=ThesisRoomsConfig)
     passages: PassageConfig = field(
-        default_factory=lambda: PassageConfig(step=0.1, smallest_contact=3)
+        default_factory=lambda: PassageConfig(step=0.1, smallest_contact=3, storeys=True)
     )
 
 

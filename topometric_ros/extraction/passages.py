@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
-from topometric_ros.topometric_map import NO_ROOM, Passage
+from topometric_ros.extraction.contacts import Contact, find_contacts, one_a_door, steps
+from topometric_ros.extraction.doorways import Surroundings, kind_of_rise
+from topometric_ros.extraction.mapped_rooms import MappedRooms
+from topometric_ros.extraction.stairs import StairsConfig, find_stairs
+from topometric_ros.topometric_map import NO_ROOM, Passage, Storey
 from topometric_ros.voxels.components import connected_components
-from topometric_ros.voxels.grid import VoxelGrid, in_morton_order
-from topometric_ros.voxels.index import VoxelIndex, row_at
-from topometric_ros.voxels.kernels import Kernel, connectivity, kernel_of
+from topometric_ros.voxels.grid import VoxelGrid
+from topometric_ros.voxels.index import VoxelIndex
+from topometric_ros.voxels.kernels import kernel_of
+
+_FLOOR = 0.25
+"""Voxels this near to their storey's floor, m, are of it."""
+_HIGHEST_STEPS = 1.2
+"""Height over a storey's floor, m, up to which steps and ramps join rooms of that storey."""
+
+_AROUND = 1.0
+"""How far round a passage the floor is looked at for steps and slopes, m."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +52,26 @@ class PassageConfig:
         minimum=0.0,
         maximum=2.0,
     )
+    storeys: bool = parameter(
+        False,
+        "Join rooms of one storey by what can be reached from its floor, and storeys by stairs "
+        "only; measure doors. Without, whatever is navigable joins rooms (the thesis).",
+    )
+    door: float = parameter(
+        1.6,
+        "Contacts of a room with two others that meet span at most this where they are one door.",
+        unit="m",
+        minimum=0.0,
+        maximum=3.0,
+    )
+    stairs: StairsConfig = field(default_factory=StairsConfig)
+
+
+def passages_of(rooms: MappedRooms, config: PassageConfig) -> tuple[Passage, ...]:
+    """Return the passages between rooms as the configuration's preset finds them."""
+    if config.storeys:
+        return find_links(rooms, config)
+    return find_passages(rooms.grid, rooms.room, rooms.navigable, config)
 
 
 def find_passages(
@@ -70,82 +101,103 @@ def find_passages(
     """
     rows = VoxelIndex(grid.coords).rows(navigable)
     label = np.where(rows >= 0, room[rows], NO_ROOM).astype(np.int32)
-    rise = math.floor(config.step / grid.voxel_size + 0.5)
-    pairs = _adjacent(
-        VoxelIndex(navigable).table, navigable, label, _half(_steps(config.connectivity, rise))
+    return tuple(
+        _plain_passage(contact, grid.voxel_size, config)
+        for contact in _contacts(grid, navigable, label, config)
     )
-    if len(pairs) == 0:
-        return ()
-    # A contact's voxels are told apart by doubling the lattice: a pair's middle is a cell there.
-    middles = navigable[pairs[:, 0]] + navigable[pairs[:, 1]]
-    rooms = np.sort(label[pairs], axis=1)
-    passages = []
-    for pair in np.unique(rooms, axis=0):
-        middle = in_morton_order(middles[(rooms == pair).all(1)])
-        group = connected_components(middle, _middle_steps(rise))
-        for g in range(group.max() + 1):
-            contact = middle[group == g] * 0.5
-            if len(contact) >= config.smallest_contact:
-                passages.append(_passage(pair, contact, grid, config))
-    return tuple(passages)
 
 
-def _steps(name: str, rise: int) -> NDArray[np.int32]:
-    """Return a neighbourhood whose horizontal neighbours may lie `rise` cells up or down."""
-    offsets = connectivity(name).offsets()
-    flat = np.unique(offsets[(offsets[:, :2] != 0).any(1)] * (1, 1, 0), axis=0)
-    tall = [flat + (0, 0, z) for z in range(-rise, rise + 1)]
-    return np.unique(np.concatenate([offsets, *tall]), axis=0).astype(np.int32)
+def find_links(rooms: MappedRooms, config: PassageConfig) -> tuple[Passage, ...]:
+    """Return the passages of preset `default`: with height, kind and confidence.
+
+    Rooms of one storey are joined by what can be walked to from its floor only, because ceilings,
+    tables and slabs have room to stand above them too, and a door counts once (`one_a_door`).
+    Rooms of two storeys are joined by stairs only (`stairs.py`).
+
+    Returns
+    -------
+    passages ordered by their rooms' ids; positions at their middle, widths from jamb to jamb
+    """
+    grid, navigable = rooms.grid, rooms.navigable
+    rows = VoxelIndex(grid.coords).rows(navigable)
+    label = np.where(rows >= 0, rooms.room[rows], NO_ROOM).astype(np.int32)
+    storey = np.where(rows >= 0, rooms.storey[rows], -1)
+    surroundings = Surroundings(grid, rooms.columns, rooms.surface)
+    found: list[Passage] = []
+    for one in rooms.storeys:
+        own = storey == one.id
+        own[own] = _walkable(navigable[own], grid, one, config)
+        contacts = one_a_door(_contacts(grid, navigable[own], label[own], config), config.door)
+        floor = rooms.surface[rows[own]]
+        found += [_measured(c, surroundings, floor, one, grid.voxel_size, config) for c in contacts]
+    found += find_stairs(rooms, config.stairs)
+    return tuple(sorted(found, key=lambda p: p.rooms))
 
 
-def _half(offsets: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return one of each two opposite offsets, so that every pair is met once."""
-    x, y, z = offsets.T
-    return offsets[(x > 0) | ((x == 0) & (y > 0)) | ((x == 0) & (y == 0) & (z > 0))]
-
-
-def _middle_steps(rise: int) -> Kernel:
-    """Return the neighbourhood of pairs' middles: a cell is two wide on the doubled lattice."""
-    high = 2 * max(rise, 1)
-    flat, tall = np.arange(-2, 3), np.arange(-high, high + 1)
-    offsets = np.stack(np.meshgrid(flat, flat, tall, indexing="ij"), -1).reshape(-1, 3)
-    return kernel_of(offsets)
-
-
-@njit(cache=True, nogil=True)
-def _adjacent(table, coords, label, offsets):  # type: ignore[no-untyped-def]
-    """Pairs of adjacent voxels in two different rooms: (P, 2) int64."""
-    pairs = []
-    for i in range(len(coords)):
-        if label[i] < 0:
-            continue
-        for k in range(len(offsets)):
-            j = row_at(
-                table,
-                coords[i, 0] + offsets[k, 0],
-                coords[i, 1] + offsets[k, 1],
-                coords[i, 2] + offsets[k, 2],
-            )
-            if j >= 0 and label[j] >= 0 and label[j] != label[i]:
-                pairs.append((i, j))
-    result = np.empty((len(pairs), 2), np.int64)
-    for p in range(len(pairs)):
-        result[p, 0], result[p, 1] = pairs[p]
-    return result
-
-
-def _passage(
-    pair: NDArray[np.int32],
-    contact: NDArray[np.float64],
+def _contacts(
     grid: VoxelGrid,
+    navigable: NDArray[np.int32],
+    label: NDArray[np.int32],
+    config: PassageConfig,
+) -> list[Contact]:
+    return find_contacts(
+        grid, navigable, label, config.connectivity, config.step, config.smallest_contact
+    )
+
+
+def _walkable(
+    navigable: NDArray[np.int32], grid: VoxelGrid, storey: Storey, config: PassageConfig
+) -> NDArray[np.bool_]:
+    """Return which voxels of a storey can be reached from its floor by steps: (M,) bool."""
+    height = grid.origin[2] + navigable[:, 2] * grid.voxel_size - storey.floor_z
+    low = np.flatnonzero(height <= _HIGHEST_STEPS)
+    rise = math.floor(2 * config.step / grid.voxel_size + 0.5)
+    component = connected_components(navigable[low], kernel_of(steps("26", rise)))
+    on_floor = np.abs(height[low]) <= _FLOOR
+    floors = np.bincount(component[on_floor], minlength=int(component.max(initial=0)) + 1)
+    walkable = np.zeros(len(navigable), bool)
+    walkable[low] = floors[component] > 0
+    return walkable
+
+
+def _plain_passage(contact: Contact, voxel_size: float, config: PassageConfig) -> Passage:
+    """Return the passage of a contact as the thesis describes it."""
+    x, y, z = contact.points.mean(0).tolist()
+    width = contact.extent() + max(config.clearance, voxel_size)
+    return Passage(rooms=contact.rooms, position=(x, y, z), width=width)
+
+
+def _measured(
+    contact: Contact,
+    surroundings: Surroundings,
+    floor: NDArray[np.float64],
+    storey: Storey,
+    voxel_size: float,
     config: PassageConfig,
 ) -> Passage:
-    """Return the passage of a contact, (C, 3) float64 middles of voxel pairs in cells."""
-    points = contact * grid.voxel_size
-    centre = points.mean(0)
-    flat = points[:, :2] - centre[:2]
-    _, axes = np.linalg.eigh(flat.T @ flat)
-    extent = float(np.ptp(flat @ axes[:, -1]))
-    x, y, z = (grid.origin + centre).tolist()
-    width = extent + max(config.clearance, grid.voxel_size)
-    return Passage(rooms=(int(pair[0]), int(pair[1])), position=(x, y, z), width=width)
+    """Return the passage of a contact with what stands round it; `floor` (n, 3) is walkable."""
+    passage = _plain_passage(contact, voxel_size, config)
+    x, y, z = passage.position
+    doorway = surroundings.doorway(contact.points[:, :2], contact.extent(), z, storey.ceiling_z)
+    kind = "opening"
+    if doorway is not None:
+        (x, y), kind = doorway.middle, doorway.kind
+        passage = replace(passage, width=doorway.width, height=doorway.height)
+    rise = kind_of_rise(floor[np.hypot(*(floor[:, :2] - (x, y)).T) <= _AROUND] - (x, y, z))
+    kind = rise or kind
+    confidence = _confidence(kind, passage.width)
+    return replace(passage, position=(x, y, z), kind=kind, confidence=confidence)
+
+
+def _confidence(kind: str, width: float) -> float:
+    """Return the share of passages of such a kind and width (m) that are right.
+
+    Counted by `scripts/measure_passages.py`; the wrong ones join two pieces of one room.
+    """
+    if width < 0.6:
+        return 0.2
+    if width <= 1.1:
+        return 0.95
+    if kind == "door":
+        return 0.65
+    return 0.6 if width <= 1.5 else 0.4

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.extraction import default_rooms, thesis_rooms
-from topometric_ros.extraction.assemble import assemble_rooms, majority
+from topometric_ros.extraction.assemble import assemble_rooms, majority, storeys_of_rooms
 from topometric_ros.extraction.assess import assess
 from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.extraction.config import ExtractionConfig
@@ -18,8 +18,9 @@ from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.extent import anchor, moved_finding, without_islands, without_strays
 from topometric_ros.extraction.layers import refine_floor, storey_layers
 from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
+from topometric_ros.extraction.mapped_rooms import MappedRooms
 from topometric_ros.extraction.navigation import navigable_volume
-from topometric_ros.extraction.passages import find_passages
+from topometric_ros.extraction.passages import passages_of
 from topometric_ros.extraction.quality import Finding, Quality
 from topometric_ros.extraction.storeys import (
     RASTER,
@@ -116,12 +117,15 @@ def extract(
     room, navigable, eyes = _rooms(scene, config, watch)
     with watch.stage("layers"):
         storeys = _map_storeys(scene, config)
-    with watch.stage("passages"):
-        passages = find_passages(grid, room, navigable, config.passages)
-    with watch.stage("assemble"):
-        storey = scene.per_voxel(scene.storey_of_raster)
-        rooms = assemble_rooms(grid, room, storey, passages)
         offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
+    storey = scene.per_voxel(scene.storey_of_raster)
+    storey_of_room = storeys_of_rooms(room, storey)
+    columns = scene.columns if grid.voxel_size == RASTER else None
+    found = MappedRooms(grid, offsets, room, navigable, storey_of_room, storeys, columns)
+    with watch.stage("passages"):
+        passages = passages_of(found, config.passages)
+    with watch.stage("assemble"):
+        rooms = assemble_rooms(found, passages)
     x, y, z = (float(v) for v in grid.origin)
     result = TopometricMap(
         agent=agent,

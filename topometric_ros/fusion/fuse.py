@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from topometric_ros.alignment import GlobalMap
 from topometric_ros.configuration import parameter
-from topometric_ros.fusion.fuse_rooms import Fragment, fused_passages, fused_rooms, room_ids
+from topometric_ros.extraction.assemble import assemble_rooms
+from topometric_ros.extraction.mapped_rooms import MappedRooms
+from topometric_ros.fusion.fuse_rooms import Fragment, fused_passages, room_ids, storeys_of_rooms
 from topometric_ros.fusion.fuse_storeys import fused_storeys
 from topometric_ros.fusion.poses import Transform, apply, level_frames
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
@@ -69,7 +71,8 @@ def fuse(
     -------
     GlobalMap on the anchor's lattice, at the largest voxel size among the maps: a map of the
     anchor's level frame with the anchor's `T_level_input`. Its voxels are those that any agent's
-    surface points lie in, their offsets the mean of these points.
+    surface points lie in, their offsets the mean of these points. The rooms' attributes are
+    measured anew on them.
     """
     anchor = maps[0]
     placed = [
@@ -96,8 +99,15 @@ def fuse(
     new_id = room_ids(fragments, grid.coords, config.room_overlap)
     room = _labels(fragments, new_id, len(grid))
     session, sequence = _version([m for _, m, _ in placed])
-    passages = fused_passages(
-        fragments, new_id, set(np.unique(room).tolist()), config.passage_distance
+    known = set(np.unique(room[room != NO_ROOM]).tolist())
+    passages = fused_passages(fragments, new_id, known, config.passage_distance)
+    mapped = MappedRooms(
+        grid,
+        surface_offsets(points, grid, row_of_point),
+        room,
+        _navigable(placed, size, origin),
+        storeys_of_rooms(fragments, new_id, known),
+        storeys,
     )
     fused = TopometricMap(
         agent=GLOBAL,
@@ -108,11 +118,11 @@ def fuse(
         voxel_size=size,
         origin=anchor.origin,
         voxels=grid.coords,
-        offsets=surface_offsets(points, grid, row_of_point),
+        offsets=mapped.offsets,
         room=room,
-        navigable=_navigable(placed, size, origin),
+        navigable=mapped.navigable,
         viewpoints=_viewpoints(placed),
-        rooms=fused_rooms(fragments, new_id, room, grid, passages),
+        rooms=assemble_rooms(mapped, passages),
         passages=passages,
         storeys=storeys,
         T_level_input=anchor.T_level_input,

@@ -7,16 +7,14 @@ several of the other, so every chain of rooms that cover each other by enough be
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.extraction.assemble import measured_room
 from topometric_ros.fusion.poses import Transform, apply
-from topometric_ros.topometric_map import Passage, Room, TopometricMap
-from topometric_ros.voxels.grid import VoxelGrid
+from topometric_ros.topometric_map import Passage, TopometricMap
 from topometric_ros.voxels.morton import morton_encode
 
 _STRIDE = 10_000
@@ -114,54 +112,49 @@ def fused_passages(
 ) -> tuple[Passage, ...]:
     """Return the passages between different rooms that have voxels; near ones of a pair are one.
 
-    A merged passage lies at the mean position and is as wide as the widest.
+    A merged passage lies at the mean position and is as wide as the widest; its kind and height
+    are those of the surest one whose kind was told, its confidence is the highest.
     """
-    clusters: dict[tuple[int, int], list[list[tuple[NDArray[np.float64], float]]]] = {}
+    clusters: dict[tuple[int, int], list[list[Passage]]] = {}
     for fragment in fragments:
         for passage in fragment.map.passages:
             first, second = sorted(ids[fragment.agent, room] for room in passage.rooms)
             if first == second or not {first, second} <= known:
                 continue
             position = apply(fragment.T, np.array([passage.position]))[0]
+            moved = replace(passage, rooms=(first, second), position=_triple(position))
             same_pair = clusters.setdefault((first, second), [])
             for cluster in same_pair:
-                if np.linalg.norm(cluster[0][0] - position) <= distance:
-                    cluster.append((position, passage.width))
+                if np.linalg.norm(position - cluster[0].position) <= distance:
+                    cluster.append(moved)
                     break
             else:
-                same_pair.append([(position, passage.width)])
-    return tuple(
-        Passage(
-            rooms=pair,
-            position=_triple(np.mean([position for position, _ in cluster], axis=0)),
-            width=max(width for _, width in cluster),
-        )
-        for pair in sorted(clusters)
-        for cluster in clusters[pair]
+                same_pair.append([moved])
+    return tuple(_merged(cluster) for pair in sorted(clusters) for cluster in clusters[pair])
+
+
+def _merged(cluster: Sequence[Passage]) -> Passage:
+    """Return several agents' passage as one."""
+    surest = max(cluster, key=lambda passage: (passage.kind != "unknown", passage.confidence))
+    return replace(
+        surest,
+        position=_triple(np.mean([passage.position for passage in cluster], axis=0)),
+        width=max(passage.width for passage in cluster),
+        confidence=max(passage.confidence for passage in cluster),
     )
 
 
-def fused_rooms(
-    fragments: Sequence[Fragment],
-    ids: dict[RoomKey, int],
-    room: NDArray[np.int32],
-    grid: VoxelGrid,
-    passages: Sequence[Passage],
-) -> tuple[Room, ...]:
-    """Return the rooms that have voxels, by id, measured on the fused voxels."""
+def storeys_of_rooms(
+    fragments: Sequence[Fragment], ids: dict[RoomKey, int], known: set[int]
+) -> dict[int, int]:
+    """Return the fused storey of each room that has voxels: that of its first agent."""
     storey_of: dict[int, int] = {}
     for fragment in fragments:
         for old in fragment.map.rooms:
-            storey_of.setdefault(ids[fragment.agent, old.id], fragment.storey_of[old.storey])
-    reached = {number for passage in passages for number in passage.rooms}
-    order = np.argsort(room, kind="stable")
-    labels = room[order]
-    rooms = []
-    for number in np.unique(room[room >= 0]).tolist():
-        start, end = np.searchsorted(labels, [number, number + 1])
-        rows = order[start:end]
-        rooms.append(measured_room(grid, rows, number, storey_of[number], number not in reached))
-    return tuple(rooms)
+            number = ids[fragment.agent, old.id]
+            if number in known:
+                storey_of.setdefault(number, fragment.storey_of[old.storey])
+    return storey_of
 
 
 def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:

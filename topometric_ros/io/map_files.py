@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,13 @@ from numpy.typing import NDArray
 
 from topometric_ros.io.map_format import MapFileError, Section, decode, encode
 from topometric_ros.io.packing import PackingError
-from topometric_ros.io.summaries import floats, graph_fields, optional, write_atomically
+from topometric_ros.io.summaries import (
+    building_fields,
+    floats,
+    graph_fields,
+    optional,
+    write_atomically,
+)
 from topometric_ros.topometric_map import (
     Descriptors,
     MapError,
@@ -105,7 +112,11 @@ def encode_map(
         "warnings": list(m.warnings),
         "observers": list(observers),
         **graph_fields(m),
-        "storeys": [_storey_fields(storey) for storey in m.storeys],
+        "storeys": [
+            {**_storey_fields(s), "rooms": list(m.rooms_of(s.id)), "links": list(m.links_of(s.id))}
+            for s in m.storeys
+        ],
+        "building": building_fields(m),
         "descriptors": [{"name": d.name, "version": int(d.version)} for d in m.descriptors],
     }
     sections = [
@@ -204,12 +215,36 @@ def _room(entry: Mapping[str, Any]) -> Room:
         voxels=int(entry["voxels"]),
         area=float(entry["area"]),
         isolated=bool(entry["isolated"]),
+        **_attributes(entry),
     )
+
+
+def _attributes(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes of a room; files from before rooms had them have none."""
+    if "kind" not in entry:
+        return {}
+    return {
+        "centre": None if entry["centre"] is None else _triple(entry["centre"]),
+        "floor_area": float(entry["floor_area"]),
+        "volume": optional(entry["volume"]),
+        "completeness": float(entry["completeness"]),
+        "frontier": float(entry["frontier"]),
+        "kind": str(entry["kind"]),
+        "kind_confidence": float(entry["kind_confidence"]),
+    }
 
 
 def _passage(entry: Mapping[str, Any]) -> Passage:
     a, b = entry["rooms"]
-    return Passage((int(a), int(b)), _triple(entry["position"]), float(entry["width"]))
+    passage = Passage((int(a), int(b)), _triple(entry["position"]), float(entry["width"]))
+    if "kind" not in entry:  # Files from before passages had kinds.
+        return passage
+    return replace(
+        passage,
+        height=optional(entry["height"]),
+        kind=str(entry["kind"]),
+        confidence=float(entry["confidence"]),
+    )
 
 
 def _storey(index: int, entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Storey:

@@ -30,9 +30,16 @@ def map_summary(m: TopometricMap, quality: Quality | None = None) -> dict[str, A
         "T_level_input": [floats(row) for row in m.T_level_input],
         **graph_fields(m),
         "storeys": [
-            {"id": s.id, "floor_z": float(s.floor_z), "ceiling_z": optional(s.ceiling_z)}
+            {
+                "id": int(s.id),
+                "floor_z": float(s.floor_z),
+                "ceiling_z": optional(s.ceiling_z),
+                "rooms": list(m.rooms_of(s.id)),
+                "links": list(m.links_of(s.id)),
+            }
             for s in m.storeys
         ],
+        "building": building_fields(m),
         **({} if quality is None else {"quality": quality.content()}),
     }
 
@@ -100,6 +107,13 @@ def graph_fields(m: TopometricMap) -> dict[str, Any]:
                 "voxels": int(room.voxels),
                 "area": float(room.area),
                 "isolated": bool(room.isolated),
+                "centre": None if room.centre is None else floats(room.centre),
+                "floor_area": float(room.floor_area),
+                "volume": optional(room.volume),
+                "completeness": float(room.completeness),
+                "frontier": float(room.frontier),
+                "kind": room.kind,
+                "kind_confidence": float(room.kind_confidence),
             }
             for room in m.rooms
         ],
@@ -108,7 +122,20 @@ def graph_fields(m: TopometricMap) -> dict[str, Any]:
                 "rooms": [int(room_id) for room_id in passage.rooms],
                 "position": floats(passage.position),
                 "width": float(passage.width),
+                "height": optional(passage.height),
+                "kind": passage.kind,
+                "confidence": float(passage.confidence),
             }
             for passage in m.passages
         ],
+    }
+
+
+def building_fields(m: TopometricMap) -> dict[str, Any]:
+    """Return the root of the hierarchy building, storey, room as map.json holds it."""
+    building = m.building()
+    return {
+        "storeys": list(building.storeys),
+        "bounds": [floats(corner) for corner in building.bounds],
+        "floor_area": building.floor_area,
     }

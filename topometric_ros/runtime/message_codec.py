@@ -26,11 +26,19 @@ from topometric_ros.io.packing import (
     unpack_coords,
     unpack_offsets,
 )
+from topometric_ros.runtime.graph_codec import (
+    building_message,
+    number_field,
+    passage_from,
+    passage_message,
+    point_from,
+    point_message,
+    room_from,
+    room_message,
+)
 from topometric_ros.topometric_map import (
     Descriptors,
     MapError,
-    Passage,
-    Room,
     Storey,
     StoreyLayers,
     TopometricMap,
@@ -75,7 +83,7 @@ def map_to_message(
             session=m.session,
             sequence=int(m.sequence),
             voxel_size=float(m.voxel_size),
-            origin=_point(classes.Point, m.origin),
+            origin=point_message(classes.Point, m.origin),
             t_level_input=matrix_field(m.T_level_input),
             voxel_count=len(m.voxels),
             voxels=byte_field(kind, pack_coords(m.voxels)),
@@ -85,18 +93,11 @@ def map_to_message(
             observed_by=byte_field(kind, b"" if observed_by is None else pack_array(observed_by)),
             navigable_count=len(m.navigable),
             navigable=byte_field(kind, pack_coords(m.navigable)),
-            viewpoints=[_point(classes.Point32, point) for point in m.viewpoints],
-            rooms=[_room_message(room, classes) for room in m.rooms],
-            passages=[
-                classes.Passage(
-                    room_a=int(passage.rooms[0]),
-                    room_b=int(passage.rooms[1]),
-                    position=_point(classes.Point, passage.position),
-                    width=float(passage.width),
-                )
-                for passage in m.passages
-            ],
-            storeys=[_storey_message(storey, classes) for storey in m.storeys],
+            viewpoints=[point_message(classes.Point32, point) for point in m.viewpoints],
+            rooms=[room_message(room, classes) for room in m.rooms],
+            passages=[passage_message(passage, classes) for passage in m.passages],
+            storeys=[_storey_message(storey, m, classes) for storey in m.storeys],
+            building=building_message(m, classes),
             descriptors=[_descriptors_message(entry, classes) for entry in m.descriptors],
             warnings=list(m.warnings),
         )
@@ -163,29 +164,7 @@ def matrix_from(field: Any, side: int = 4, what: str = "transform") -> NDArray[n
     return values.reshape(side, side)
 
 
-def _point(kind: Any, values: Any) -> Any:
-    x, y, z = values
-    return kind(x=float(x), y=float(y), z=float(z))
-
-
-def _triple(point: Any) -> tuple[float, float, float]:
-    return float(point.x), float(point.y), float(point.z)
-
-
-def _room_message(room: Room, classes: Any) -> Any:
-    return classes.Room(
-        id=int(room.id),
-        storey=int(room.storey),
-        centroid=_point(classes.Point, room.centroid),
-        bounds_min=_point(classes.Point, room.bounds[0]),
-        bounds_max=_point(classes.Point, room.bounds[1]),
-        voxels=int(room.voxels),
-        area=float(room.area),
-        isolated=bool(room.isolated),
-    )
-
-
-def _storey_message(storey: Storey, classes: Any) -> Any:
+def _storey_message(storey: Storey, m: TopometricMap, classes: Any) -> Any:
     layers = storey.layers
     kind = classes.StoreyLayers
     return classes.Storey(
@@ -201,6 +180,8 @@ def _storey_message(storey: Storey, classes: Any) -> Any:
             cells_y=layers.wall.shape[1],
             **{name: byte_field(kind, pack_bits(getattr(layers, name))) for name in _MASKS},
         ),
+        rooms=number_field(classes.Storey, "i", m.rooms_of(storey.id)),
+        links=number_field(classes.Storey, "I", m.links_of(storey.id)),
     )
 
 
@@ -226,7 +207,7 @@ def _map(message: Any) -> TopometricMap:
         frame_id=message.header.frame_id,
         stamp=stamp_of(message.header),
         voxel_size=float(message.voxel_size),
-        origin=_triple(message.origin),
+        origin=point_from(message.origin),
         voxels=unpack_coords(bytes(message.voxels), count),
         offsets=unpack_offsets(bytes(message.offsets), count),
         room=_int32(message.room_of_voxel, count),
@@ -234,11 +215,8 @@ def _map(message: Any) -> TopometricMap:
             bytes(message.navigable), int(message.navigable_count), "navigable"
         ),
         viewpoints=np.array(viewpoints, np.float32).reshape(-1, 3),
-        rooms=tuple(_room(room) for room in message.rooms),
-        passages=tuple(
-            Passage((int(p.room_a), int(p.room_b)), _triple(p.position), float(p.width))
-            for p in message.passages
-        ),
+        rooms=tuple(room_from(room) for room in message.rooms),
+        passages=tuple(passage_from(passage) for passage in message.passages),
         storeys=tuple(_storey(storey) for storey in message.storeys),
         descriptors=tuple(_descriptors(e, len(message.rooms)) for e in message.descriptors),
         T_level_input=matrix_from(message.t_level_input, what="t_level_input"),
@@ -248,18 +226,6 @@ def _map(message: Any) -> TopometricMap:
 
 def _int32(field: Any, count: int) -> NDArray[np.int32]:
     return unpack_array(bytes(field), np.int32, (count,), "room_of_voxel").astype(np.int32)
-
-
-def _room(message: Any) -> Room:
-    return Room(
-        id=int(message.id),
-        storey=int(message.storey),
-        centroid=_triple(message.centroid),
-        bounds=(_triple(message.bounds_min), _triple(message.bounds_max)),
-        voxels=int(message.voxels),
-        area=float(message.area),
-        isolated=bool(message.isolated),
-    )
 
 
 def _storey(message: Any) -> Storey:
