@@ -68,7 +68,7 @@ def route_graph(m: TopometricMap, storey: Storey) -> dict[str, Any]:
 
     Node and edge ids are unique together, from 1. Coordinates are metres in the map's frame. A
     node's metadata holds `kind` (room, passage or way), the room's id and area or the passage's
-    width and rooms; an edge's the room that it leads through and whether the way is `seen` free (a
+    own kind, width, height and rooms; an edge's the room that it leads through and whether the way is `seen` free (a
     straight line stands in where the grid shows none).
 
     Parameters
@@ -138,7 +138,8 @@ def _add_room(
     goals: list[tuple[int, Cell | None]],
 ) -> None:
     """Add a room and the ways from its centre to its passages: `goals` are (node, cell)."""
-    centre = _to_grid_frame(m, raster, room.centroid)
+    place = room.centroid if room.centre is None else room.centre
+    centre = _to_grid_frame(m, raster, place)
     start = raster.snapped(raster.cell(centre))
     about = {"kind": "room", "room": room.id, "storey": room.storey, "area": round(room.area, 2)}
     root = graph.node(centre if start is None else raster.point(start), about)
@@ -169,7 +170,11 @@ def _key(cell: Cell) -> tuple[int, int]:
 
 def _of_passage(passage: Passage) -> dict[str, Any]:
     rooms = [int(room) for room in passage.rooms]
-    return {"kind": "passage", "rooms": rooms, "width": round(float(passage.width), 3)}
+    metadata: dict[str, Any] = {"kind": "passage", "passage": passage.kind, "rooms": rooms}
+    metadata["width"] = round(float(passage.width), 3)
+    if passage.height is not None:
+        metadata["height"] = round(float(passage.height), 3)
+    return metadata
 
 
 def _raster(grid: OccupancyGrid) -> _Raster:
