@@ -68,8 +68,8 @@ def route_graph(m: TopometricMap, storey: Storey) -> dict[str, Any]:
 
     Node and edge ids are unique together, from 1. Coordinates are metres in the map's frame. A
     node's metadata holds `kind` (room, passage or way), the room's id and area or the passage's
-    own kind, width, height and rooms; an edge's the room that it leads through and whether the way is `seen` free (a
-    straight line stands in where the grid shows none).
+    own kind, width, height and rooms; an edge's the room that it leads through and whether the way
+    is `seen` free (a straight line stands in where the grid shows none).
 
     Parameters
     ----------
