@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from test.helpers import box_room, moved, yaw_transform
+from topometric_ros.extraction.assemble import majority
 from topometric_ros.extraction.columns import sort_columns
 from topometric_ros.extraction.default_rooms import NarrowingsConfig, segment
 from topometric_ros.extraction.pair_features import extended, pair_features
@@ -34,12 +35,19 @@ def _segmented(
 ) -> tuple[VoxelGrid, NDArray[np.int32], NDArray[np.int64]]:
     """Return the voxels, their labels and the voxel of each point."""
     grid, cell_of_point = voxelise(points, RASTER, np.zeros(3))
+    labels = _point_labels(points, grid, cell_of_point)
+    return grid, majority(cell_of_point, labels), cell_of_point
+
+
+def _point_labels(
+    points: NDArray[np.float64], grid: VoxelGrid, cell_of_point: NDArray[np.int64]
+) -> NDArray[np.int32]:
     heights = np.bincount(cell_of_point, weights=points[:, 2]) / np.bincount(cell_of_point)
     columns = sort_columns(grid.coords)
     storeys = find_storeys(columns, heights, 0.0, StoreyConfig())
     storey = assign_storeys(columns, heights, storeys)
-    labels = segment(columns, heights, storeys, storey, NarrowingsConfig())
-    return grid, labels, cell_of_point
+    places = points[:, :2] / RASTER
+    return segment(columns, heights, storeys, storey, places, cell_of_point, NarrowingsConfig())
 
 
 def _label_at(
@@ -210,3 +218,17 @@ def test_labels_reach_no_farther_than_asked() -> None:
     labels = np.zeros((1, 20), np.int32)
     labels[0, 0] = 7
     assert extended(labels, 5.0).sum() == 6 * 7
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 0.7])
+def test_each_face_of_a_thin_wall_belongs_to_the_room_it_bounds(yaw: float) -> None:
+    left = box_room((0, 0, 0), (4, 3, 2.6), (("x+", 1.5),))
+    right = box_room((4.1, 0, 0), (3, 3, 2.6), (("x-", 1.5),))
+    points = moved(np.concatenate([left, right]), yaw_transform(yaw, (0.03, 0.04, 0.0)))
+    grid, cell_of_point = voxelise(points, RASTER, np.zeros(3))
+    labels = _point_labels(points, grid, cell_of_point)
+    ours, theirs = labels[: len(left)], labels[len(left) :]
+    wall = np.abs(left[:, 0] - 4.0) < 0.01
+    assert labels.max() == 1
+    assert np.mean(ours[wall] == np.bincount(ours).argmax()) > 0.93
+    assert np.mean(theirs == np.bincount(theirs).argmax()) > 0.97

@@ -89,3 +89,15 @@ def test_scattered_points_have_no_storey() -> None:
     points = np.random.default_rng(3).uniform(0, 10, (30_000, 3))
     storeys, _, _ = _storeys(points)
     assert storeys == ()
+
+
+def test_the_faces_of_a_slab_seen_on_one_side_only_stay_apart() -> None:
+    points = _two_storeys(0.15)
+    x, z = points[:, 0], points[:, 2]
+    upper_floor_unseen = (np.abs(z - 2.75) < 0.01) & (x > 1.5) & (x < 4.5)
+    ceiling_unseen = (np.abs(z - 2.6) < 0.01) & (x < 1.0)
+    storeys, of_voxel, heights = _storeys(points[~upper_floor_unseen & ~ceiling_unseen])
+    assert storeys[0].ceiling == pytest.approx(2.6, abs=0.01)
+    assert storeys[1].floor == pytest.approx(2.75, abs=0.01)
+    wrong = (heights < 2.62) & (of_voxel == 1) | (heights > 2.73) & (of_voxel == 0)
+    assert wrong.mean() < 0.001

@@ -12,15 +12,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.columns import Columns
 from topometric_ros.extraction.merging import MergingConfig, merge_pieces
 from topometric_ros.extraction.pair_features import pair_features
 from topometric_ros.extraction.pieces import markers, watershed
+from topometric_ros.extraction.room_labels import label_points
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
 from topometric_ros.extraction.walls import StoreyRaster, WallsConfig, storey_raster
+
+_FLAT = 0.2
+"""Points this near to the floor or the ceiling make no wall, m."""
 
 
 @dataclass(frozen=True)
@@ -68,23 +71,27 @@ def segment(
     heights: NDArray[np.float64],
     storeys: Sequence[StoreyHeights],
     storey: NDArray[np.int32],
+    places: NDArray[np.float64],
+    voxel_of_point: NDArray[np.int64],
     config: NarrowingsConfig,
 ) -> NDArray[np.int32]:
-    """Label every 0.1 m voxel with its room.
+    """Label every point with its room.
 
     Parameters
     ----------
-    columns : columns of the voxels
+    columns : columns of the 0.1 m voxels
     heights : (N,) float64, m, mean height of the points seen in each voxel
     storeys : floors and ceilings, lowest first
     storey : (N,) int32, index of the storey of each voxel
+    places : (P, 2) float64, cells, x and y of the points on the voxels' lattice
+    voxel_of_point : (P,) int64
 
     Returns
     -------
-    (N,) int32, rooms numbered from 0, storey by storey; -1 in columns that lie farther than
+    (P,) int32, rooms numbered from 0, storey by storey; -1 for points that lie farther than
     `reach` from every room of their storey.
     """
-    labels = np.full(len(heights), -1, np.int32)
+    labels = np.full(len(places), -1, np.int32)
     count = 0
     for index, level in enumerate(storeys):
         members = storey == index
@@ -94,10 +101,12 @@ def segment(
         regions = storey_regions(raster, config)
         if not regions.any():
             continue
-        distance, (x, y) = ndimage.distance_transform_edt(regions == 0, return_indices=True)
-        nearest = np.where(distance <= config.reach / RASTER, regions[x, y], 0)
-        cells = columns.raster_cells()[members] - (raster.corner - columns.corner)
-        found = nearest[tuple(cells.T)]
-        labels[members] = np.where(found > 0, found - 1 + count, -1)
+        inside = members[voxel_of_point]
+        above_floor = heights[voxel_of_point[inside]] - level.floor
+        upright = (above_floor > _FLAT) & (above_floor < level.ceiling - level.floor - _FLAT)
+        found = label_points(
+            regions, raster.wall, places[inside] - raster.corner, upright, config.reach / RASTER
+        )
+        labels[inside] = np.where(found > 0, found - 1 + count, -1)
         count += int(regions.max())
     return labels

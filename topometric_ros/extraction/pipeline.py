@@ -249,14 +249,16 @@ def _rooms(
         if config.method == "visibility":
             room = thesis_rooms.segment(scene.grid, navigable, eyes, config.views)
         else:
-            of_raster = default_rooms.segment(
+            of_point = default_rooms.segment(
                 scene.columns,
                 scene.heights,
                 scene.storeys,
                 scene.storey_of_raster,
+                (scene.points[:, :2] - scene.grid.origin[:2]) / RASTER,
+                scene.raster_of_point,
                 config.narrowings,
             )
-            room = scene.per_voxel(of_raster)
+            room = majority(scene.cell_of_point, of_point)
     return room, navigable, eyes
 
 

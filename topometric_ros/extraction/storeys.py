@@ -14,9 +14,16 @@ from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.columns import Columns
+from topometric_ros.extraction.slabs import FREE, ceiling_height, floor_height
 
 RASTER = 0.1
 """Edge (m) of the voxels that storeys and rooms are read from, whatever the map's voxel size."""
+
+_THINNEST_SLAB = 0.08
+"""A thinner slab's faces are told by what is free beside them, not by their heights, m."""
+
+_FACE = 0.06
+"""Voxels this near to a floor or a ceiling lie on it, m."""
 
 
 @dataclass(frozen=True)
@@ -230,25 +237,33 @@ def find_storeys(
     """
     levels = _levels(columns, config)
     floors = [level + levels.bottom for level in _floor_levels(levels, config)]
+    fine = [_fine_floor(columns, heights, level, origin_z) for level in floors]
     storeys = []
-    for floor, following in zip(floors, [*floors[1:], None], strict=False):
+    for index, (floor, floor_z) in enumerate(zip(floors, fine, strict=True)):
+        last = index + 1 == len(floors)
+        following = None if last else floors[index + 1]
+        following_z = None if last else fine[index + 1]
         ceiling, seen = _ceiling_level(columns, floor, following, config)
-        floor_z = _fine_height(columns, heights, floor, columns.above >= 10)
-        ceiling_z = origin_z + ceiling * RASTER
-        if not seen and ceiling != following:
-            ceiling_z = floor_z + config.usual_height
-        elif ceiling != following:
-            ceiling_z = _fine_height(columns, heights, ceiling, columns.below >= 10)
+        ceiling_z = floor_z + config.usual_height
+        if seen or ceiling == following:
+            level_z = origin_z + ceiling * RASTER
+            found = ceiling_height(columns, heights, level_z, following_z)
+            ceiling_z = level_z if found is None else found
+            if found is None and following_z is not None:
+                ceiling_z = min(ceiling_z, following_z - RASTER)
         storeys.append(StoreyHeights(floor_z, max(ceiling_z, floor_z + 1.0), seen))
     return tuple(storeys)
 
 
-def _fine_height(
-    columns: Columns, heights: NDArray[np.float64], level: int, facing: NDArray[np.bool_]
+def _fine_floor(
+    columns: Columns, heights: NDArray[np.float64], level: int, origin_z: float
 ) -> float:
-    """Return the median height of the voxels of a level that face the storey's free space."""
+    """Return the height of a floor; where its face does not show, the median of its layer."""
+    found = floor_height(columns, heights, origin_z + level * RASTER)
+    if found is not None:
+        return found
     near = np.abs(columns.z - level) <= 1
-    chosen = heights[near & facing]
+    chosen = heights[near & (columns.above > FREE)]
     return float(np.median(chosen if len(chosen) else heights[near]))
 
 
@@ -257,17 +272,20 @@ def assign_storeys(
 ) -> NDArray[np.int32]:
     """Return the index of the storey of every voxel: (N,) int32; below the lowest floor 0.
 
-    Inside a slab, between a ceiling and the next floor, what is seen from above belongs to the
-    upper storey and what is seen from below to the lower one; the rest to the nearer surface.
+    What lies on a ceiling is the lower storey's and what lies on a floor the upper one's. Between
+    and beside them, what is seen from above belongs to the upper storey and what is seen from
+    below to the lower one; the rest to the nearer surface.
     """
     storey = np.zeros(len(columns.z), np.int32)
-    meter = round(1.0 / RASTER)
-    free_above, free_below = columns.above > meter, columns.below > meter
+    free_above, free_below = columns.above > FREE, columns.below > FREE
     for index in range(1, len(storeys)):
         c, f = storeys[index - 1].ceiling, storeys[index].floor
         upper = heights >= (c + f) / 2
-        seen_above = free_above & ~free_below
-        seen_below = free_below & ~free_above
+        told = np.zeros(len(heights), bool)
+        if f - c >= _THINNEST_SLAB:
+            told = np.minimum(np.abs(heights - c), np.abs(heights - f)) <= min(_FACE, (f - c) / 2)
+        seen_above = free_above & ~free_below & ~told
+        seen_below = free_below & ~free_above & ~told
         upper[seen_above] = heights[seen_above] >= f - 3 * RASTER
         upper[seen_below] = heights[seen_below] >= f + 2 * RASTER
         upper[heights > f + RASTER] = True

@@ -1,0 +1,86 @@
+"""Where a floor and the ceiling below it lie in a slab, finer than a voxel.
+
+Storeys are found in layers of 0.1 m (`storeys.py`); a slab is hardly thicker, and a layer in the
+wrong storey is a twentieth of its rooms. So both faces of every slab are looked for again in the
+mean heights of the points: a floor among the voxels with free space above, a ceiling among those
+with free space below. Voxels that look both ways, as where one face of the slab was not seen,
+tell nothing and are left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.extraction.columns import NOTHING, Columns
+
+FREE = 10
+"""Cells above or below a voxel that are free space beside a slab and no gap within it."""
+
+_SLAB = 5
+"""Cells from one face of a slab to the other, at most."""
+
+_SEARCH = 0.3
+"""How far from its layer a face is looked for, m."""
+
+_STEP = 0.02
+_SHARE = 0.3
+_FEWEST = 100
+
+
+def floor_height(columns: Columns, heights: NDArray[np.float64], level: float) -> float | None:
+    """Return the height of the floor near `level` (m), the upper face of its slab.
+
+    Parameters
+    ----------
+    columns : columns of 0.1 m voxels
+    heights : (N,) float64, m, mean height of the points seen in each voxel
+
+    Returns
+    -------
+    m, or None where fewer than 100 voxels (1 m²) tell
+    """
+    facing = columns.above > FREE
+    sure = columns.below <= _SLAB
+    alone = columns.below == NOTHING
+    for telling in (sure | (alone & (columns.above < NOTHING)), sure | alone):
+        found = _outermost(heights[facing & telling] - level)
+        if found is not None:
+            return level + found
+    return None
+
+
+def ceiling_height(
+    columns: Columns, heights: NDArray[np.float64], level: float, following: float | None
+) -> float | None:
+    """Return the height of the ceiling near `level` (m), the lower face of its slab.
+
+    Parameters
+    ----------
+    columns, heights : as for `floor_height`
+    following : height of the next floor, m, which the ceiling lies under; None for the last one
+    """
+    facing = columns.below > FREE
+    sure = columns.above <= _SLAB
+    alone = columns.above == NOTHING
+    known = sure | (alone & (columns.below < NOTHING))
+    if following is not None:
+        facing &= heights < following - 0.05
+    for telling in (known,) if following is not None else (known, sure | alone):
+        found = _outermost(level - heights[facing & telling])
+        if found is not None:
+            return level - found
+    return None
+
+
+def _outermost(offsets: NDArray[np.float64]) -> float | None:
+    """Return the highest offset (m) that holds a fair share of what the fullest holds."""
+    near = offsets[np.abs(offsets) < _SEARCH]
+    if len(near) < _FEWEST:
+        return None
+    bins = np.floor((near + _SEARCH) / _STEP).astype(np.int64)
+    counts = np.bincount(bins)
+    # Noise may put a face on the border of two bins; a window of two keeps its peak whole.
+    pairs = counts + np.append(counts[1:], 0)
+    top = int(np.flatnonzero(pairs >= _SHARE * pairs.max())[-1])
+    return float(np.median(near[np.abs(near + _SEARCH - (top + 1) * _STEP) <= 2 * _STEP]))
