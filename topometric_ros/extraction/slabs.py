@@ -26,6 +26,7 @@ _SEARCH = 0.3
 _STEP = 0.02
 _SHARE = 0.3
 _FEWEST = 100
+_KNOWN_SHARE = 0.2
 
 
 def floor_height(columns: Columns, heights: NDArray[np.float64], level: float) -> float | None:
@@ -43,11 +44,9 @@ def floor_height(columns: Columns, heights: NDArray[np.float64], level: float) -
     facing = columns.above > FREE
     sure = columns.below <= _SLAB
     alone = columns.below == NOTHING
-    for telling in (sure | (alone & (columns.above < NOTHING)), sure | alone):
-        found = _outermost(heights[facing & telling] - level)
-        if found is not None:
-            return level + found
-    return None
+    known = sure | (alone & (columns.above < NOTHING))
+    found = _outermost(heights[facing & known] - level, heights[facing & (sure | alone)] - level)
+    return None if found is None else level + found
 
 
 def ceiling_height(
@@ -66,16 +65,19 @@ def ceiling_height(
     known = sure | (alone & (columns.below < NOTHING))
     if following is not None:
         facing &= heights < following - 0.05
-    for telling in (known,) if following is not None else (known, sure | alone):
-        found = _outermost(level - heights[facing & telling])
-        if found is not None:
-            return level - found
-    return None
+    beside = known if following is not None else sure | alone
+    found = _outermost(level - heights[facing & known], level - heights[facing & beside])
+    return None if found is None else level - found
 
 
-def _outermost(offsets: NDArray[np.float64]) -> float | None:
-    """Return the highest offset (m) that holds a fair share of what the fullest holds."""
-    near = offsets[np.abs(offsets) < _SEARCH]
+def _outermost(known: NDArray[np.float64], all_: NDArray[np.float64]) -> float | None:
+    """Return the highest offset (m) that holds a fair share of what the fullest holds.
+
+    Known faces decide, unless they are few beside all that may be one.
+    """
+    near, all_near = (offsets[np.abs(offsets) < _SEARCH] for offsets in (known, all_))
+    if len(near) < _KNOWN_SHARE * len(all_near):
+        near = all_near
     if len(near) < _FEWEST:
         return None
     bins = np.floor((near + _SEARCH) / _STEP).astype(np.int64)
