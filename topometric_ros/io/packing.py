@@ -44,7 +44,7 @@ def pack_coords(coords: NDArray[np.int32]) -> bytes:
     if len(codes) > 1 and not (codes[1:] > codes[:-1]).all():
         raise PackingError("voxels must be distinct and in Morton order to be packed")
     deltas = np.diff(codes, prepend=np.uint64(0))
-    return _compress(_varint_encode(deltas).tobytes())
+    return _compress(varint_encode(deltas).tobytes())
 
 
 def unpack_coords(data: bytes, count: int, what: str = "voxels") -> NDArray[np.int32]:
@@ -161,12 +161,12 @@ def _decompress(data: bytes, least: int, most: int, what: str) -> bytes:
     return raw
 
 
-def _varint_encode(values: NDArray[np.uint64]) -> NDArray[np.uint8]:
+def varint_encode(values: NDArray[np.uint64]) -> NDArray[np.uint8]:
     """Return unsigned LEB128: seven bits a byte, lowest first, the top bit set on all but the last.
 
     Examples
     --------
-    >>> _varint_encode(np.array([1, 300], np.uint64)).tolist()
+    >>> varint_encode(np.array([1, 300], np.uint64)).tolist()
     [1, 172, 2]
     """
     sizes = np.ones(len(values), np.int64)
@@ -183,7 +183,7 @@ def _varint_encode(values: NDArray[np.uint64]) -> NDArray[np.uint8]:
 
 
 def _varint_decode(encoded: NDArray[np.uint8], count: int, what: str) -> NDArray[np.uint64]:
-    """Undo :func:`_varint_encode` for `count` values."""
+    """Undo :func:`varint_encode` for `count` values."""
     ends = np.flatnonzero(encoded < 0x80) + 1
     if len(ends) != count or (ends[-1] if count else 0) != len(encoded):
         raise PackingError(f"{what}: expected {count} packed values, got {len(ends)}")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.alignment import Alignment
+from topometric_ros.io.packing import varint_encode
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.visualization.agreement import level_transform
 from topometric_ros.visualization.figures import hex_colour
@@ -35,7 +36,7 @@ _MOST_VIEWS = 400
 _MOST_CELLS = 40_000
 _MOST_IN_PAIR = 20_000
 """Points of either map of a pair."""
-_BITS = 1_500_000
+_ISOVISTS = 1_500_000
 """Bytes of all isovists together; where they are more, some viewpoints have none to show."""
 _GAP = 2.0
 """Between the two maps of a pair, m."""
@@ -134,17 +135,26 @@ def _eyes(stages: FileStages) -> dict[str, Any]:
 
 
 def _isovist(stages: FileStages, points: ViewPoints) -> dict[str, Any]:
-    """Return which of the page's points viewpoints see, one bit a point, the largest first."""
+    """Return which of the page's points viewpoints see, those that see most first.
+
+    The rows of the points, sorted, as the difference of each to the one before less one, the first
+    to -1: LEB128 varints, `sizes` bytes for each viewpoint of `of`.
+    """
     seen, radius = stages.drawn.seen, stages.drawn.config.views.visibility.radius
     sizes = seen.sizes()
-    size = -(-len(points.xyz) // 8)
-    order = np.argsort(-sizes, kind="stable")
-    kept = [int(k) for k in order[: max(1, _BITS // max(size, 1))]]
-    bits = np.zeros((len(kept), size), np.uint8)
-    for row, view in enumerate(kept):
-        mask = np.zeros(seen.voxels, bool)
-        mask[seen.rows(view)] = True
-        bits[row] = np.packbits(mask[:: points.step], bitorder="little")
+    kept: list[int] = []
+    packed: list[NDArray[np.uint8]] = []
+    left = _ISOVISTS
+    for view in np.argsort(-sizes, kind="stable").tolist():
+        rows = seen.rows(view)
+        rows = rows[rows % points.step == 0] // points.step
+        steps = np.diff(rows, prepend=-1) - 1
+        packed.append(varint_encode(steps.astype(np.uint64)))
+        left -= len(packed[-1])
+        if left < 0 and kept:
+            packed.pop()
+            break
+        kept.append(view)
     note = f"What one viewpoint sees within {number(radius, 1, 'm')}. Click on another one."
     if len(kept) < len(sizes):
         note += f" The {len(kept):,} of {len(sizes):,} that see most can be shown."
@@ -154,7 +164,8 @@ def _isovist(stages: FileStages, points: ViewPoints) -> dict[str, Any]:
         "eyes": _eyes(stages),
         "of": kept,
         "seen": sizes.tolist(),
-        "bits": base64_of(bits),
+        "sizes": [len(part) for part in packed],
+        "rows": base64_of(np.concatenate(packed)),
     }
 
 

@@ -11,7 +11,7 @@
   const upper = new Uint8Array(bytes(data.points.upper));
   const rooms = new Map(data.rooms.map(r => [r.id, r]));
   const plain = "#b8b8b8", faint = "#c9ced4", seen = "#c25b00";
-  const state = {stage: "rooms", pair: 0, colour: "room", storey: 0, room: null};
+  const state = {stage: "rooms", view: null, pair: 0, colour: "room", storey: 0, room: null};
   const titles = {rooms: "rooms", navigable: "navigable volume", distance: "distance field and viewpoints",
     isovist: "isovist", similarity: "similarity matrix and graph", matches: "matches side by side",
     trajectories: "trajectories"};
@@ -57,7 +57,9 @@
       marker: {size: 8, color: here.map(r => r.colour), line: {color: "#1d2228", width: 2}}};
   };
   const makers = {points: pointTrace, edges: edgeTrace, nodes: nodeTrace};
-  parts.push(...stageParts(data, bytes));
+  const wanted = new URLSearchParams(location.hash.slice(1));
+  state.view = wanted.has("view") ? parseInt(wanted.get("view")) : null;
+  parts.push(...stageParts(data, bytes, state.view));
   const onStorey = part => state.storey === 0 || part.storey < 0 || part.storey === state.storey - 1;
   const shown = part => {
     if (part.stage) return part.stage === state.stage && onStorey(part) && (part.kind !== "pair" || part.pair === state.pair);
@@ -101,14 +103,13 @@
   };
   const remember = () => {
     const entries = Object.entries({stage: state.stage === "rooms" ? null : state.stage, pair: state.pair || null,
-      room: state.room, storey: state.storey || null,
+      view: state.view, room: state.room, storey: state.storey || null,
       colour: state.colour === "room" ? null : state.colour}).filter(e => e[1] !== null);
     history.replaceState(null, "", "#" + new URLSearchParams(entries));
   };
   const nameStorey = () =>
     at("storeyname").textContent = state.storey ? data.storeys[state.storey - 1].name : "all";
 
-  const wanted = new URLSearchParams(location.hash.slice(1));
   if (colours[wanted.get("colour")]) state.colour = wanted.get("colour");
   if (data.stages[wanted.get("stage")]) state.stage = wanted.get("stage");
   state.pair = Math.min(Math.max(0, parseInt(wanted.get("pair")) || 0), ((data.stages.matches || {}).pairs || [0]).length - 1);
@@ -137,6 +138,7 @@
     at("uppers").hidden = !!stage.pairs;
     at("flat").hidden = !stage.matrixPlot;
     document.body.dataset.stage = state.stage;
+    if (stage.sees) document.body.dataset.seen = String(storey.reduce((sum, _, i) => sum + stage.sees(i), 0));
     legend();
   };
   nameStage(); nameStorey();
@@ -171,15 +173,15 @@
   };
   const look = eye => {
     const stage = stageOf();
-    if (state.stage !== "isovist" || !stage.of.includes(eye)) return;
-    stage.chosen = eye;
+    if (state.stage !== "isovist" || !stage.choose(eye)) return;
+    state.view = eye;
     for (const k of which("eyes").filter(k => parts[k].stage === "isovist")) {
       const {size, color} = parts[k].look(parts[k].ids);
       Plotly.restyle("plot", {"marker.size": [size], "marker.color": [color]}, [k]);
     }
     const ring = which("ring"), places = parts[ring[0]].ring();
     Plotly.restyle("plot", {x: [places.x], y: [places.y], z: [places.z]}, ring);
-    recolour(); legend();
+    recolour(); legend(); remember();
   };
   const redraw = () => Plotly.restyle("plot", {visible: parts.map(shown)});
   Plotly.newPlot("plot", traces, layout, {responsive: true, displaylogo: false}).then(plot => {

@@ -1,7 +1,7 @@
 "use strict";
 // What the page shows beside rooms and points: parts of the scene for every stage of the extraction.
-// A part is {kind, stage, storey, trace}; storey -1 is part of all.
-const stageParts = (data, bytes) => {
+// A part is {kind, stage, storey, trace}; storey -1 is part of all. `wanted`: the viewpoint to begin with.
+const stageParts = (data, bytes, wanted) => {
   const stages = data.stages, parts = [];
   const ink = "#1d2228", eye = "#d1003f";
   const some = name => stages[name] && !stages[name].missing ? stages[name] : null;
@@ -48,12 +48,23 @@ const stageParts = (data, bytes) => {
 
   const isovist = some("isovist");
   if (isovist) {
-    const packed = new Uint8Array(bytes(isovist.bits)), size = packed.length / isovist.of.length;
-    isovist.chosen = isovist.of[0];
-    isovist.sees = i => {
-      const row = isovist.of.indexOf(isovist.chosen);
-      return row >= 0 && (packed[row * size + (i >> 3)] >> (i & 7) & 1) === 1;
+    const packed = new Uint8Array(bytes(isovist.rows));
+    // Rows of the points that a viewpoint sees: varints of the steps between them, less one.
+    isovist.choose = view => {
+      const place = isovist.of.indexOf(view);
+      if (place < 0) return false;
+      const start = isovist.sizes.slice(0, place).reduce((a, b) => a + b, 0);
+      const rows = new Set();
+      for (let k = start, row = -1, step = 0, shift = 0; k < start + isovist.sizes[place]; k++) {
+        step |= (packed[k] & 127) << shift;
+        shift += 7;
+        if (packed[k] < 128) { row += step + 1; rows.add(row); step = shift = 0; }
+      }
+      isovist.chosen = view;
+      isovist.sees = i => rows.has(i);
+      return true;
     };
+    isovist.choose(wanted) || isovist.choose(isovist.of[0]);
     eyes("isovist", ids => ({
       size: ids.map(i => i === isovist.chosen ? 10 : 4),
       color: ids.map(i => i === isovist.chosen ? eye : isovist.of.includes(i) ? "#ffffff" : "#b8b8b8"),
