@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from test.helpers import yaw_transform
 from test.helpers_matching import A_ROOMS, T_BUILDING_A, agent_map
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.matching import planes
 from topometric_ros.matching.assignment import cost_matrix
 from topometric_ros.matching.config import ContextConfig, DescriptorConfig, MatchingConfig
 from topometric_ros.matching.context import embed_pair
@@ -35,6 +36,17 @@ def box_shell(nx: int, ny: int, nz: int) -> np.ndarray:
     grid = grid.reshape(-1, 3)
     shell = ((grid == 0) | (grid == np.array([nx, ny, nz]) - 1)).any(axis=1)
     return in_morton_order(grid[shell])
+
+
+def test_planes_do_not_depend_on_how_many_are_fitted_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    points = np.random.default_rng(1).normal(size=(500, 3)) * (4.0, 3.0, 0.05)
+    whole = planes.fit_planes(points, 10)
+    monkeypatch.setattr(planes, "_AT_ONCE", 64)
+    for one, other in zip(whole, planes.fit_planes(points, 10), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert np.median(np.abs(whole[0][:, 2])) > 0.99
 
 
 def test_engineered_features_of_a_box_are_its_sizes() -> None:

@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+_AT_ONCE = 100_000
+"""Points whose neighbourhoods are held in memory at a time: all of a large map's take gigabytes."""
+
 
 def fit_planes(
     points: NDArray[np.float64], neighbours: int
@@ -32,10 +35,14 @@ def fit_planes(
     k = min(neighbours, len(points))
     if k < 3:
         return np.tile([0.0, 0.0, 1.0], (len(points), 1)), np.zeros(len(points))
-    _, nearest = cKDTree(points).query(points, k=k)
-    patches = points[nearest]
-    patches = patches - patches.mean(axis=1, keepdims=True)
-    scatter = np.einsum("nki,nkj->nij", patches, patches)
-    normals = np.linalg.eigh(scatter)[1][:, :, 0]
-    distances = np.abs(np.einsum("nki,ni->nk", patches, normals)).sum(axis=1)
+    tree = cKDTree(points)
+    normals, distances = np.empty((len(points), 3)), np.empty(len(points))
+    for start in range(0, len(points), _AT_ONCE):
+        block = slice(start, start + _AT_ONCE)
+        patches = points[tree.query(points[block], k=k)[1]]
+        patches -= patches.mean(axis=1, keepdims=True)
+        scatter = np.einsum("nki,nkj->nij", patches, patches)
+        across = np.linalg.eigh(scatter)[1][:, :, 0]
+        normals[block] = across
+        distances[block] = np.abs(np.einsum("nki,ni->nk", patches, across)).sum(axis=1)
     return normals, distances
