@@ -66,10 +66,13 @@ def matrix(transform: Any) -> np.ndarray:
     return T
 
 
-def test_two_robots_recorded_scans_become_one_global_map(own: Graph, start: Any) -> None:
+def test_two_robots_recorded_scans_become_one_global_map(
+    own: Graph, start: Any, tmp_path: Path
+) -> None:
     from tf2_msgs.msg import TFMessage
     from topometric_msgs.msg import Alignment, AlignmentArray, TopometricMap
 
+    from topometric_ros.io.trajectories import read_trajectories
     from topometric_ros.nodes import qos
 
     T_true = np.array(json.loads((DEMO.parent / "demo.truth.json").read_text())["T_robot1_robot2"])
@@ -88,6 +91,12 @@ def test_two_robots_recorded_scans_become_one_global_map(own: Graph, start: Any)
         request = service("ExtractNow").Request()
         response = own.call(service("ExtractNow"), f"/{name}/extractor/extract_now", request)
         assert response.code == 0, response.message
+    saved = tmp_path / "robot1.tmap"
+    request = service("SaveMap").Request(path=str(saved))
+    assert own.call(service("SaveMap"), "/robot1/extractor/save_map", request).code == 0
+    (way,) = read_trajectories(saved)
+    assert way.agent == "robot1"
+    assert np.ptp(way.positions, axis=0).max() > 5.0
 
     def accepted() -> Any:
         states = alignments.last.alignments if len(alignments) else []
