@@ -217,3 +217,21 @@ def _publisher(node: Any, connection: Any) -> Any:
     package, _, name = connection.msgtype.split("/")
     message_type = getattr(importlib.import_module(f"{package}.msg"), name)
     return node.create_publisher(message_type, connection.topic, profile)
+
+
+def service(name: str) -> Any:
+    """Return a service type of topometric_msgs."""
+    import topometric_msgs.srv
+
+    return getattr(topometric_msgs.srv, name)
+
+
+def set_parameters(own: Graph, node: str, values: dict[str, float]) -> list[str]:
+    """Set parameters one by one over the node's service; return why each was refused."""
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    changes = [Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
+    request = SetParameters.Request(parameters=changes)
+    results = own.call(SetParameters, f"{node}/set_parameters", request).results
+    return ["" if result.successful else result.reason for result in results]

@@ -13,7 +13,7 @@ import pytest
 
 from test import helpers_ros
 from test.helpers import box_room
-from test.helpers_ros import Graph, wait_for
+from test.helpers_ros import Graph, service, set_parameters, wait_for
 
 pytestmark = [
     pytest.mark.dds,
@@ -120,12 +120,6 @@ def test_two_robots_recorded_scans_become_one_global_map(
     assert [process.stop(signal.SIGTERM) for process in processes] == [0, 0, 0]
 
 
-def service(name: str) -> Any:
-    import topometric_msgs.srv
-
-    return getattr(topometric_msgs.srv, name)
-
-
 def placements(transforms: Any, agents: tuple[str, ...]) -> dict[str, Any] | None:
     """Return the newest transform of each agent to the global frame, once all are there."""
     found = {
@@ -202,17 +196,6 @@ def test_a_cloud_that_cannot_be_right_is_refused_and_the_next_good_one_works(
     assert response.code == 0
     assert response.session not in ("", session)
     assert process.stop(signal.SIGTERM) == 0
-
-
-def set_parameters(own: Graph, node: str, values: dict[str, float]) -> list[str]:
-    """Set parameters one by one over the node's service; return why each was refused."""
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
-
-    changes = [Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
-    request = SetParameters.Request(parameters=changes)
-    results = own.call(SetParameters, f"{node}/set_parameters", request).results
-    return ["" if result.successful else result.reason for result in results]
 
 
 def test_a_wrong_parameter_ends_the_node_with_one_line_and_status_two(start: Any) -> None:
