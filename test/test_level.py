@@ -77,13 +77,29 @@ def test_a_long_corridor_stays_as_it_is() -> None:
     assert np.array_equal(level.T_level_input, np.eye(4))
 
 
-def test_a_small_tilt_is_told_and_left() -> None:
-    points = moved(_HOUSE, _turn((1, 0, 0), 1.2))
-    level = estimate_level(points, LevelConfig())
+@pytest.mark.parametrize("angle", [0.25, 0.6, 1.2])
+def test_a_small_tilt_is_taken_out_where_the_walls_lean_too(angle: float) -> None:
+    T = _turn((1, 0.4, 0), angle)
+    noise = np.random.default_rng(0).normal(0, 0.01, _HOUSE.shape)
+    level = estimate_level(moved(_HOUSE + noise, T), LevelConfig())
+    assert np.degrees(np.arccos(min(1.0, (level.T_level_input @ T)[2, 2]))) < 0.06
+
+
+def test_a_sloping_floor_between_upright_walls_is_told_and_left() -> None:
+    sloping = _HOUSE.copy()
+    sloping[:, 2] += sloping[:, 0] * np.tan(np.radians(1.2))
+    level = estimate_level(sloping, LevelConfig())
     assert np.array_equal(level.T_level_input, np.eye(4))
-    assert "1.2°" in str(level.findings[0])
-    assert "level.smallest_tilt" in str(level.findings[0])
-    assert estimate_level(points, LevelConfig(smallest_tilt=1.0)).tilt > 0.0
+    assert "1.2°" in level.findings[0].message
+    assert "walls stand more upright" in level.findings[0].message
+
+
+def test_floors_alone_are_believed_from_a_larger_tilt_on() -> None:
+    floor = _slope(12, 8, 0.0, 1.2)
+    level = estimate_level(floor, LevelConfig())
+    assert level.tilt == 0.0
+    assert "no walls confirm it" in level.findings[0].message
+    assert estimate_level(floor, LevelConfig(trusted_tilt=1.0)).tilt > 0.0
 
 
 def test_levelling_can_be_switched_off() -> None:

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from test.helpers import SHARED_DATA, needs_shared_data, yaw_transform
 from test.helpers_matching import (
@@ -20,15 +21,18 @@ from test.helpers_matching import (
     T_BUILDING_C,
     agent_map,
     error_of,
+    room_points,
 )
 from topometric_ros.alignment import AgentStatus, Alignment, AlignmentStatus, MergeResult
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.fusion.align import align
 from topometric_ros.fusion.config import merge_preset
 from topometric_ros.fusion.fuse import FuseConfig, fuse
 from topometric_ros.fusion.merge import MergeError, merge, reversed_alignment
 from topometric_ros.fusion.poses import apply, inverse, level_frames
 from topometric_ros.matching.descriptors import describe
+from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 from topometric_ros.voxels.grid import lattice_coordinates
 from topometric_ros.voxels.morton import morton_encode
@@ -149,6 +153,30 @@ def test_transforms_hold_between_input_frames() -> None:
     assert T is not None
     np.testing.assert_allclose(level_frames(T, side, np.eye(4)), merged().alignments[0].T_a_b)
     np.testing.assert_array_equal(result.global_map.map.T_level_input, side)
+
+
+def test_tilted_clouds_are_levelled_and_aligned_in_their_own_frames() -> None:
+    rng = np.random.default_rng(0)
+    tilted, clouds = [], []
+    for rooms, T, angle, axis in (
+        (A_ROOMS, T_BUILDING_A, 4.0, (1.0, 0.5, 0.0)),
+        (B_ROOMS, T_BUILDING_B, 0.8, (-0.2, 1.0, 0.0)),
+    ):
+        R = Rotation.from_rotvec(np.radians(angle) * np.array(axis) / np.linalg.norm(axis))
+        T_tilted_agent = np.eye(4)
+        T_tilted_agent[:3, :3] = R.as_matrix()
+        tilted.append(T_tilted_agent @ inverse(T))
+        points = np.concatenate([room_points(number) for number in rooms])
+        clouds.append(apply(tilted[-1], points + rng.normal(0, 0.01, points.shape)))
+    found = [
+        extract_map(cloud, ExtractionConfig(), DEFAULT.matching, agent=name).map
+        for name, cloud in zip("ab", clouds, strict=True)
+    ]
+    T_a_b = merge(found, DEFAULT).alignments[0].T_a_b
+    assert T_a_b is not None
+    shift, turn = error_of(T_a_b, tilted[0] @ inverse(tilted[1]), clouds[1])
+    assert shift < 0.03
+    assert turn < 0.1
 
 
 @pytest.mark.parametrize("source", ["rooms", "search"])

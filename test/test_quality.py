@@ -17,7 +17,7 @@ from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.pipeline import extract
 from topometric_ros.extraction.quality import Quality, findings
-from topometric_ros.extraction.surfaces import measure_surfaces, spacing, steepest_tilt
+from topometric_ros.extraction.surfaces import fit_planes, measure_surfaces, spacing, steepest_tilt
 from topometric_ros.io.clouds import UP_AXES, up_rotation
 from topometric_ros.voxels.grid import thin, voxelise
 
@@ -78,7 +78,7 @@ def test_noise_is_measured_and_told() -> None:
     rng = np.random.default_rng(0)
     for sigma in (0.02, 0.05):
         noisy = thin(_flat() + rng.normal(0, sigma, _flat().shape), 0.05)
-        assert measure_surfaces(noisy).noise == pytest.approx(sigma, abs=0.012)
+        assert measure_surfaces(fit_planes(noisy)).noise == pytest.approx(sigma, abs=0.012)
     quality = _quality(_flat() + rng.normal(0, 0.05, _flat().shape))
     assert "noise" in _codes(quality)
 
@@ -138,7 +138,7 @@ def test_a_plane_a_sphere_and_noise_are_no_buildings() -> None:
 def test_a_tilt_beyond_the_largest_is_named() -> None:
     c, s = np.cos(np.radians(24.0)), np.sin(np.radians(24.0))
     tilted = _flat() @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-    assert np.degrees(steepest_tilt(thin(tilted, 0.05))) == pytest.approx(24.0, abs=1.0)
+    assert np.degrees(steepest_tilt(fit_planes(thin(tilted, 0.05)))) == pytest.approx(24.0, abs=1.0)
 
 
 def test_every_warning_of_the_report_is_one_of_the_map() -> None:

@@ -18,6 +18,7 @@ from topometric_ros.extraction.quality import Quality, findings, is_ordinary_hei
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
 from topometric_ros.extraction.surfaces import (
     clear_height,
+    fit_planes,
     likely_unit,
     measure_surfaces,
     spacing,
@@ -52,7 +53,7 @@ def assess(
     storey : (N,) int32, the storey of each of the map's voxels
     method : how rooms were found, which says why a voxel has none
     """
-    surfaces = measure_surfaces(points)
+    surfaces = measure_surfaces(fit_planes(points))
     height = clear_height(columns, RASTER)
     floor_seen, ceiling_seen = _seen(m, storey)
     quality = Quality(

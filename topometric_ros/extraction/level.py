@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.quality import Finding
-from topometric_ros.extraction.surfaces import measure_surfaces, steepest_tilt
+from topometric_ros.extraction.surfaces import (
+    fit_planes,
+    lean_of_walls,
+    measure_surfaces,
+    steepest_tilt,
+)
 from topometric_ros.voxels.grid import thin
 
 _CELL = 0.1
@@ -26,7 +31,7 @@ _FIT_BAND = 0.06
 _FIT_ROUNDS = 4
 _COARSE_STEP = 1.5
 _NOTICED_TILT = 0.5
-
+_WARNED_TILT = 1.0
 _MEASURABLE = 0.1
 _BUILT = 0.5
 """Share of the points in measured blocks, and of those on thin surfaces, in any building."""
@@ -47,8 +52,11 @@ class LevelConfig:
         15.0, "Largest tilt that is looked for.", unit="deg", minimum=0.0, maximum=30.0
     )
     smallest_tilt: float = parameter(
+        0.15, "Smaller tilts are left as they are.", unit="deg", minimum=0.0, maximum=10.0
+    )
+    trusted_tilt: float = parameter(
         1.5,
-        "Smaller tilts are left as they are: a warped floor must not turn a frame that is level.",
+        "Floors are believed from this tilt on where no walls were seen that lean as well.",
         unit="deg",
         minimum=0.0,
         maximum=10.0,
@@ -80,14 +88,18 @@ class Level:
 def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
     """Find the transform that makes the floors level.
 
+    Floors may slope and drift may warp them, so small tilts are only believed where the walls lean
+    as much.
+
     Parameters
     ----------
-    points : (P, 3) float64, m, input frame, P > 0
+    points : (P, 3) float64, m, input frame, P > 0, thinned to 5 cm or less
     config : LevelConfig
 
     Returns
     -------
-    Level, the identity where the tilt is too small or levelling would sharpen too little
+    Level, the identity where the tilt is too small, levelling would sharpen too little or the
+    walls stand upright
 
     Raises
     ------
@@ -95,20 +107,46 @@ def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
         The layers perpendicular to another axis are so much larger that it must be the one up.
     """
     cells = thin(points, _CELL)
-    slope = _sharpest_slope(cells, config) if config.enabled else np.zeros(2)
+    slope = np.zeros(2)
+    told: tuple[Finding, ...] = ()
+    if config.enabled:
+        slope, told = _believed(points, *_sharpest_slope(cells, config), config)
     tilt = float(np.arctan(np.hypot(*slope)))
-    told = tilt_findings(tilt)
-    if 0.0 < np.degrees(tilt) < config.smallest_tilt:
-        message = f"the floor seems tilted by {np.degrees(tilt):.1f}° and was left so"
-        advice = f"set level.smallest_tilt, now {config.smallest_tilt:g}°, lower to level it"
-        told = (Finding("tilt", "warning", message, advice),)
-        slope, tilt = np.zeros(2), 0.0
     T = np.eye(4)
     if tilt > 0.0:
         T[:3, :3] = _levelling_rotation(slope)
+        told = tilt_findings(tilt)
     if config.check_up:
         told = (*_doubt_of_up(_largest_layers(cells, T[2, :3]), config), *told)
     return Level(T, tilt, told)
+
+
+def _believed(
+    points: NDArray[np.float64], slope: NDArray[np.float64], gain: float, config: LevelConfig
+) -> tuple[NDArray[np.float64], tuple[Finding, ...]]:
+    """Return the slope that is to be taken out, and what to tell where it is left.
+
+    `gain` is by how much taking it out would sharpen the layers.
+    """
+    none = np.zeros(2)
+    R = _levelling_rotation(slope)
+    tilt = float(np.degrees(np.arccos(min(1.0, R[2, 2]))))
+    if tilt < config.smallest_tilt:
+        return none, ()
+    before, after = lean_of_walls(points), lean_of_walls(points @ R.T)
+    if before is not None and after is not None:
+        if after < before:
+            return slope, ()
+        reason = "as the walls stand more upright like this"
+    elif tilt >= config.trusted_tilt and gain >= config.gain:
+        return slope, ()
+    else:
+        reason = "as no walls confirm it"
+    if tilt < _NOTICED_TILT or gain < config.gain:
+        return none, ()
+    message = f"the floor seems tilted by {tilt:.1f}° and was left so, {reason}"
+    advice = f"set level.trusted_tilt, now {config.trusted_tilt:g}°, lower to level it"
+    return none, (Finding("tilt", "warning", message, "" if before is not None else advice),)
 
 
 def tilt_findings(tilt: float) -> tuple[Finding, ...]:
@@ -116,7 +154,8 @@ def tilt_findings(tilt: float) -> tuple[Finding, ...]:
     if tilt == 0.0:
         return ()
     message = f"the floor is tilted by {np.degrees(tilt):.1f}°, so the cloud was levelled first"
-    return (Finding("tilt", "warning", message, "set level.enabled to false to take it as it is"),)
+    severity = "warning" if np.degrees(tilt) >= _WARNED_TILT else "note"
+    return (Finding("tilt", severity, message, "set level.enabled to false to take it as it is"),)
 
 
 def no_floor(points: NDArray[np.float64], config: LevelConfig) -> ExtractionError:
@@ -130,13 +169,14 @@ def no_floor(points: NDArray[np.float64], config: LevelConfig) -> ExtractionErro
             f"{z:.3g} m; is it in metres (--scale)? If it is, name the axis that points up with "
             "--up"
         )
-    surfaces = measure_surfaces(points)
+    planes = fit_planes(points)
+    surfaces = measure_surfaces(planes)
     if surfaces.measured >= _MEASURABLE and surfaces.flat < _BUILT:
         return ExtractionError(
             f"no floor found: only {surfaces.flat:.0%} of the points lie on thin surfaces, in "
             "buildings most do; is it a building, seen without much noise?"
         )
-    if surfaces.straight < _BUILT and np.degrees(steepest_tilt(points)) > _STILL_TILTED:
+    if surfaces.straight < _BUILT and np.degrees(steepest_tilt(planes)) > _STILL_TILTED:
         return ExtractionError(
             f"no floor found with z up: the cloud seems tilted by more than level.largest_tilt, "
             f"now {config.largest_tilt:g}°; set it higher (30° at most) or turn the cloud"
@@ -204,8 +244,10 @@ def _largest_layers(
     return areas[0], areas[1], areas[2]
 
 
-def _sharpest_slope(cells: NDArray[np.float64], config: LevelConfig) -> NDArray[np.float64]:
-    """Return the slope (2,) of the floors, 0 where levelling would sharpen too little.
+def _sharpest_slope(
+    cells: NDArray[np.float64], config: LevelConfig
+) -> tuple[NDArray[np.float64], float]:
+    """Return the slope (2,) of the floors, and by what factor levelling would sharpen them.
 
     Searched from coarse to fine, layers as thick as a step of the search moves the points; then a
     plane is fitted to the largest layer.
@@ -225,10 +267,7 @@ def _sharpest_slope(cells: NDArray[np.float64], config: LevelConfig) -> NDArray[
     slope = _fitted(sample, slope)
     before = _sharpness(sample, 0.0, 0.0, _LAYER)
     after = _sharpness(sample, slope[0], slope[1], _LAYER)
-    tilt = np.degrees(np.arctan(np.hypot(*slope)))
-    if tilt < _NOTICED_TILT or after < config.gain * before:
-        return np.zeros(2)
-    return slope
+    return slope, after / max(before, 1e-12)
 
 
 def _best(

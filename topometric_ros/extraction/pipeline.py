@@ -213,7 +213,9 @@ def _middle(
 
 
 def _level(
-    points: NDArray[np.float64], T_level_input: NDArray[np.float64] | None, config: ExtractionConfig
+    points: NDArray[np.float64],
+    T_level_input: NDArray[np.float64] | None,
+    config: ExtractionConfig,
 ) -> Level:
     """Estimate how the cloud lies, or take what an earlier map of the session found."""
     if T_level_input is None:
@@ -279,7 +281,13 @@ def _quality(
 ) -> Quality:
     """Measure what came out, and log what looks wrong."""
     quality = assess(
-        m, scene.points, scene.columns, scene.raster.coords, scene.storeys, storey, config.method
+        m,
+        scene.points,
+        scene.columns,
+        scene.raster.coords,
+        scene.storeys,
+        storey,
+        config.method,
     )
     findings = (*scene.findings, *quality.findings)
     for finding in findings:

@@ -35,6 +35,17 @@ _ALONG = 0.996
 _ACROSS = 0.087
 """Cosines of five degrees from a direction, and from square to it."""
 
+_WALL_BLOCK = 1.2
+"""Height in m of the blocks that walls are measured in: a lean shows over a height."""
+
+_THICK_WALL = 0.07
+_LEANING = 0.1
+"""Height of a wall's normal, about six degrees."""
+
+_FEWEST_ON_WALLS = 2000
+_LEAST_ACROSS = 0.05
+"""Weight of the walls that run across the others, as a share of theirs."""
+
 _THICKNESS_OF_THINNING = 0.005
 """What blocks of points without noise measure, m: corners, and the means of 5 cm cells."""
 
@@ -55,6 +66,19 @@ _UNITS = (("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254), ("f
 
 
 @dataclass(frozen=True)
+class Planes:
+    """Planes fitted to a cloud's blocks: `thickness` (B,) m, unit `normals` (B, 3), `counts` (B,).
+
+    `measured` is the share of all points that lie in blocks with enough of them.
+    """
+
+    thickness: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    measured: float
+
+
+@dataclass(frozen=True)
 class Surfaces:
     """What the surfaces of a cloud look like; shares are of the points in measured blocks.
 
@@ -71,57 +95,15 @@ class Surfaces:
     measured: float
 
 
-def measure_surfaces(points: NDArray[np.float64]) -> Surfaces:
-    """Measure the surfaces of a cloud.
+def fit_planes(points: NDArray[np.float64], height: float = _BLOCK) -> Planes:
+    """Fit planes to the blocks of a cloud.
 
     Parameters
     ----------
     points : (P, 3) float64, m, thinned to 5 cm or less, P > 0
-
-    Returns
-    -------
-    Surfaces; all zero where no block holds enough points
+    height : m, of the blocks
     """
-    thickness, normals, counts, measured = _planes(points)
-    if len(counts) == 0:
-        return Surfaces(0.0, 0.0, 0.0, 0.0, 0.0)
-    height = np.abs(normals[:, 2])
-    flat = thickness < _THIN
-    upright, level = flat & (height < _UPRIGHT), flat & (height > _LEVEL)
-    noise = max(0.0, float(np.median(thickness)) - _THICKNESS_OF_THINNING) * _NOISE_OF_THICKNESS
-    on_any, on_straight, on_upright = (
-        float(counts[kind].sum() / counts.sum()) for kind in (flat, upright | level, upright)
-    )
-    return Surfaces(noise, on_any, on_straight, on_upright, measured)
-
-
-def steepest_tilt(points: NDArray[np.float64]) -> float:
-    """Return by how much a cloud is tilted, rad, whatever the tilt; 0 where it is no building.
-
-    Up is the direction nearest to z along which, or square to which, the most surfaces lie.
-    """
-    thickness, normals, counts, _ = _planes(points)
-    flat = thickness < _THIN
-    normals, weights = normals[flat], counts[flat].astype(float)
-    if len(normals) == 0:
-        return 0.0
-    candidates = normals[:: max(1, len(normals) // _MOST_CANDIDATES)]
-    towards = np.abs(candidates @ normals.T)
-    score = ((towards > _ALONG) | (towards < _ACROSS)) @ weights
-    if score.max() < _BUILT * weights.sum():
-        return 0.0
-    good = candidates[score >= 0.9 * score.max()]
-    up = good[np.argmax(np.abs(good[:, 2]))]
-    near = np.abs(normals @ up) > _ALONG
-    mean = np.sign(normals[near] @ up) * weights[near] @ normals[near]
-    return float(np.arccos(min(1.0, abs(mean[2]) / np.linalg.norm(mean))))
-
-
-def _planes(
-    points: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], float]:
-    """Fit planes to blocks: thickness (B,) m, normals (B, 3), points (B,), share measured."""
-    block = np.floor(points / _BLOCK).astype(np.int64)
+    block = np.floor(points / (_BLOCK, _BLOCK, height)).astype(np.int64)
     block -= block.min(axis=0)
     size = block.max(axis=0) + 1
     key = (block[:, 0] * size[1] + block[:, 1]) * size[2] + block[:, 2]
@@ -141,7 +123,71 @@ def _planes(
     enough = counts >= _FEWEST_IN_BLOCK
     values, vectors = np.linalg.eigh(spread[enough])
     measured = float(counts[enough].sum() / max(1, counts.sum()))
-    return np.sqrt(np.maximum(values[:, 0], 0.0)), vectors[:, :, 0], counts[enough], measured
+    thickness = np.sqrt(np.maximum(values[:, 0], 0.0))
+    return Planes(thickness, vectors[:, :, 0], counts[enough], measured)
+
+
+def measure_surfaces(planes: Planes) -> Surfaces:
+    """Measure the surfaces of a levelled cloud; all is zero where no block holds enough points."""
+    if len(planes.counts) == 0:
+        return Surfaces(0.0, 0.0, 0.0, 0.0, 0.0)
+    height = np.abs(planes.normals[:, 2])
+    flat = planes.thickness < _THIN
+    upright, level = flat & (height < _UPRIGHT), flat & (height > _LEVEL)
+    thickness = float(np.median(planes.thickness)) - _THICKNESS_OF_THINNING
+    total = planes.counts.sum()
+    on_any, on_straight, on_upright = (
+        float(planes.counts[kind].sum() / total) for kind in (flat, upright | level, upright)
+    )
+    noise = max(0.0, thickness) * _NOISE_OF_THICKNESS
+    return Surfaces(noise, on_any, on_straight, on_upright, planes.measured)
+
+
+def steepest_tilt(planes: Planes) -> float:
+    """Return by how much a cloud is tilted, rad, whatever the tilt; 0 where it is no building.
+
+    Up is the direction nearest to z along which, or square to which, the most surfaces lie.
+    """
+    flat = planes.thickness < _THIN
+    normals, weights = planes.normals[flat], planes.counts[flat].astype(float)
+    if len(normals) == 0:
+        return 0.0
+    candidates = normals[:: max(1, len(normals) // _MOST_CANDIDATES)]
+    towards = np.abs(candidates @ normals.T)
+    score = ((towards > _ALONG) | (towards < _ACROSS)) @ weights
+    if score.max() < _BUILT * weights.sum():
+        return 0.0
+    good = candidates[score >= 0.9 * score.max()]
+    up = good[np.argmax(np.abs(good[:, 2]))]
+    near = np.abs(normals @ up) > _ALONG
+    mean = np.sign(normals[near] @ up) * weights[near] @ normals[near]
+    return float(np.arccos(min(1.0, abs(mean[2]) / np.linalg.norm(mean))))
+
+
+def lean_of_walls(points: NDArray[np.float64]) -> float | None:
+    """Return by how much the walls of a cloud lean, rad; None where too few stand, or all one way.
+
+    Blocks cut leaning walls off, so the lean comes out too small, by half where there is much
+    noise: it tells which of two poses is the more upright rather than by how much.
+
+    Parameters
+    ----------
+    points : (P, 3) float64, m, thinned to 5 cm or less, P > 0
+    """
+    planes = fit_planes(points, _WALL_BLOCK)
+    weights = planes.counts / (planes.thickness + _THICKNESS_OF_THINNING) ** 2
+    weights[planes.thickness >= _THICK_WALL] = 0.0
+    up = np.array([0.0, 0.0, 1.0])
+    for within in (_LEANING, _LEANING / 2):
+        walls = np.abs(planes.normals @ up) < within
+        normals = planes.normals[walls]
+        if planes.counts[walls].sum() < _FEWEST_ON_WALLS:
+            return None
+        values, vectors = np.linalg.eigh((normals * weights[walls, None]).T @ normals)
+        if values[1] < _LEAST_ACROSS * values[2]:
+            return None
+        up = vectors[:, 0]
+    return float(np.arccos(min(1.0, abs(up[2]))))
 
 
 def spacing(coords: NDArray[np.int32], voxel_size: float) -> float:
