@@ -81,7 +81,22 @@ def test_a_long_corridor_stays_as_it_is() -> None:
 def test_a_small_tilt_is_taken_out_where_the_walls_lean_too(angle: float) -> None:
     T = _turn((1, 0.4, 0), angle)
     noise = np.random.default_rng(0).normal(0, 0.01, _HOUSE.shape)
-    level = estimate_level(moved(_HOUSE + noise, T), LevelConfig())
+    level = estimate_level(moved(_HOUSE + noise, T), LevelConfig(smallest_tilt=0.2))
+    assert np.degrees(np.arccos(min(1.0, (level.T_level_input @ T)[2, 2]))) < 0.06
+
+
+def test_a_small_tilt_of_a_small_map_is_told_and_left() -> None:
+    points = moved(_HOUSE, _turn((1, 0, 0), 0.7))
+    level = estimate_level(points, LevelConfig())
+    assert np.array_equal(level.T_level_input, np.eye(4))
+    assert "0.7°" in level.findings[0].message
+    assert "level.smallest_tilt" in level.findings[0].advice
+
+
+def test_a_small_tilt_of_a_long_map_is_taken_out() -> None:
+    hall = box_room((0, 0, 0), (60, 16, 2.6), step=0.09)
+    T = _turn((0.2, 1, 0), 0.6)
+    level = estimate_level(moved(hall, T), LevelConfig())
     assert np.degrees(np.arccos(min(1.0, (level.T_level_input @ T)[2, 2]))) < 0.06
 
 

@@ -160,7 +160,7 @@ def test_tilted_clouds_are_levelled_and_aligned_in_their_own_frames() -> None:
     tilted, clouds = [], []
     for rooms, T, angle, axis in (
         (A_ROOMS, T_BUILDING_A, 4.0, (1.0, 0.5, 0.0)),
-        (B_ROOMS, T_BUILDING_B, 0.8, (-0.2, 1.0, 0.0)),
+        (B_ROOMS, T_BUILDING_B, 1.4, (-0.2, 1.0, 0.0)),
     ):
         R = Rotation.from_rotvec(np.radians(angle) * np.array(axis) / np.linalg.norm(axis))
         T_tilted_agent = np.eye(4)

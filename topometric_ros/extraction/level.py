@@ -31,6 +31,9 @@ _FIT_BAND = 0.06
 _FIT_ROUNDS = 4
 _COARSE_STEP = 1.5
 _NOTICED_TILT = 0.5
+_EXTENT = 2.45
+"""Side of a square over the root mean square distance of its points from the middle."""
+
 _WARNED_TILT = 1.0
 _MEASURABLE = 0.1
 _BUILT = 0.5
@@ -52,7 +55,18 @@ class LevelConfig:
         15.0, "Largest tilt that is looked for.", unit="deg", minimum=0.0, maximum=30.0
     )
     smallest_tilt: float = parameter(
-        0.15, "Smaller tilts are left as they are.", unit="deg", minimum=0.0, maximum=10.0
+        1.0,
+        "Smaller tilts are left as they are, since real floors are that uneven.",
+        unit="deg",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    smallest_rise: float = parameter(
+        0.4,
+        "Smaller tilts are taken out all the same where they lift one end of the map this much.",
+        unit="m",
+        minimum=0.0,
+        maximum=10.0,
     )
     trusted_tilt: float = parameter(
         1.5,
@@ -88,8 +102,8 @@ class Level:
 def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
     """Find the transform that makes the floors level.
 
-    Floors may slope and drift may warp them, so small tilts are only believed where the walls lean
-    as much.
+    Floors slope and drift warps them: two parts of one real building measured 0.3° and 0.7°. So
+    small tilts are only taken out where they matter, and where the walls lean too.
 
     Parameters
     ----------
@@ -131,8 +145,12 @@ def _believed(
     none = np.zeros(2)
     R = _levelling_rotation(slope)
     tilt = float(np.degrees(np.arccos(min(1.0, R[2, 2]))))
-    if tilt < config.smallest_tilt:
-        return none, ()
+    rise = _EXTENT * np.tan(np.radians(tilt)) * float(np.hypot(*points[:, :2].std(axis=0)))
+    if tilt < config.smallest_tilt and rise < config.smallest_rise:
+        message = f"the floor seems tilted by {tilt:.1f}° and was left so"
+        advice = f"set level.smallest_tilt, now {config.smallest_tilt:g}°, lower to level it"
+        told = tilt >= _NOTICED_TILT and gain >= config.gain
+        return none, ((Finding("tilt", "note", message, advice),) if told else ())
     before, after = lean_of_walls(points), lean_of_walls(points @ R.T)
     if before is not None and after is not None:
         if after < before:
