@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from test.helpers_passages import mapped, shell, surfaces, wall_with_door
 from test.test_links import by_x
+from topometric_ros.extraction.assemble import assemble_rooms
 from topometric_ros.extraction.attributes import room_attributes
 
 HALL = shell(0, 0, 8, 4, 0, 2.6)
@@ -52,3 +54,15 @@ def test_without_ceiling_there_is_no_volume_and_without_floor_no_centre() -> Non
     assert room_attributes(low)[0].volume is None
     high = mapped(points[points[:, 2] > 0.5], by_x(20.0))
     assert room_attributes(high)[0].centre is None
+
+
+def test_a_room_that_has_most_voxels_of_no_column_has_nothing_to_measure() -> None:
+    def shelf(centres: NDArray[np.float64]) -> NDArray[np.intp]:
+        on_wall = (centres[:, 0] < 0.04) & (centres[:, 1] > 3.0)
+        return (on_wall & (abs(centres[:, 2] - 1.5) < 0.25)).astype(int)
+
+    rooms = mapped(surfaces(HALL), shelf)
+    found = room_attributes(rooms)
+    assert found[1].floor_area == 0.0
+    assert found[1].centre is None
+    assert [room.kind for room in assemble_rooms(rooms, ())] == ["room", "unknown"]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.extraction.attributes import room_attributes
+from topometric_ros.extraction.attributes import RoomAttributes, room_attributes
 from topometric_ros.extraction.mapped_rooms import MappedRooms
+from topometric_ros.extraction.room_kinds import room_kind, typical_width
 from topometric_ros.topometric_map import NO_ROOM, Passage, Room
 from topometric_ros.voxels.grid import VoxelGrid
 
@@ -30,7 +31,7 @@ def storeys_of_rooms(room: NDArray[np.int32], storey: NDArray[np.int32]) -> dict
     return dict(zip(ids.tolist(), of_most.tolist(), strict=True))
 
 
-def assemble_rooms(rooms: MappedRooms, passages: Iterable[Passage]) -> tuple[Room, ...]:
+def assemble_rooms(rooms: MappedRooms, passages: Sequence[Passage]) -> tuple[Room, ...]:
     """Describe every room that has voxels with its attributes, ordered by id.
 
     Rooms that none of the `passages` leads to are isolated.
@@ -46,6 +47,7 @@ def assemble_rooms(rooms: MappedRooms, passages: Iterable[Passage]) -> tuple[Roo
             storey = rooms.storey_of_room[room_id]
             plain = _room(rooms.grid, rows, room_id, storey, room_id not in reached)
             found = measured[room_id]
+            kind, sure = _kind(room_id, found, passages, rooms.grid.voxel_size)
             described.append(
                 replace(
                     plain,
@@ -54,9 +56,22 @@ def assemble_rooms(rooms: MappedRooms, passages: Iterable[Passage]) -> tuple[Roo
                     volume=found.volume,
                     completeness=found.completeness,
                     frontier=found.frontier,
+                    kind=kind,
+                    kind_confidence=sure,
                 )
             )
     return tuple(described)
+
+
+def _kind(
+    room: int, found: RoomAttributes, passages: Sequence[Passage], voxel_size: float
+) -> tuple[str, float]:
+    """Return a room's kind and how sure that is."""
+    own = [passage for passage in passages if room in passage.rooms]
+    neighbours = {other for passage in own for other in passage.rooms} - {room}
+    stairs = sum(passage.kind == "stairs" for passage in own)
+    width = typical_width(found.floor, voxel_size)
+    return room_kind(found.floor_area, width, len(neighbours), stairs)
 
 
 def _room(

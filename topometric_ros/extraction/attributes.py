@@ -51,8 +51,12 @@ class RoomAttributes:
 
 
 def room_attributes(rooms: MappedRooms) -> dict[int, RoomAttributes]:
-    """Measure every room that has voxels: attributes by the room's id."""
-    found: dict[int, RoomAttributes] = {}
+    """Measure every room that has voxels: attributes by the room's id.
+
+    A room that has most voxels of no column, as views cut out of walls, has nothing to measure.
+    """
+    nothing = RoomAttributes(None, 0.0, None, 0.0, 0.0, None, 0.0, np.zeros((1, 1), bool))
+    found = dict.fromkeys(rooms.storey_of_room, nothing)
     for one in rooms.storeys:
         of_storey = rooms.storey == one.id
         if of_storey.any():

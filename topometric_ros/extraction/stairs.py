@@ -61,8 +61,11 @@ class StairsConfig:
     smallest_tread: float = parameter(
         0.06, "Smallest area of treads in 0.2 m of height.", unit="m²", minimum=0.0, maximum=1.0
     )
+    narrowest: float = parameter(
+        0.5, "Smallest width of the treads.", unit="m", minimum=0.2, maximum=2.0
+    )
     seen: float = parameter(
-        0.7, "Smallest share of the 0.2 m of height with a tread.", minimum=0.0, maximum=1.0
+        0.8, "Smallest share of the 0.2 m of height with a tread.", minimum=0.0, maximum=1.0
     )
 
 
@@ -102,7 +105,8 @@ def find_stairs(rooms: MappedRooms, config: StairsConfig) -> tuple[Passage, ...]
                 continue
             if seen >= config.seen:
                 ends = [_room_beside(grid, own, floor, room, height) for floor in floors]
-                found.append(_passage(grid, columns, own, (ends[0], ends[1]), seen))
+                passage = _passage(grid, columns, own, (ends[0], ends[1]), seen)
+                found += [passage] if passage.width >= config.narrowest else []
     return tuple(found)
 
 

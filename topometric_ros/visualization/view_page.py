@@ -117,9 +117,13 @@ def _attributes(view: View, room: Room) -> list[tuple[str, str]]:
     )
     attributes = [
         ("storey", str(room.storey)),
+        ("kind", f"{room.kind} ({100 * room.kind_confidence:.0f}\u00a0%)"),
         ("area", number(room.area, 1, "m²")),
+        ("floor inside the walls", number(room.floor_area, 1, "m²")),
+        ("volume", "no ceiling seen" if room.volume is None else number(room.volume, 1, "m³")),
+        ("rim seen", f"{100 * room.completeness:.0f}\u00a0%, {room.frontier:.1f}\u00a0m open"),
         ("size", " × ".join(f"{v:.1f}" for v in size) + "\u00a0m"),
-        ("centre", ", ".join(number(v, 2) for v in room.centroid)),
+        ("centre", ", ".join(number(v, 2) for v in room.centre or room.centroid)),
         ("voxels", f"{room.voxels:,}"),
         ("passages to", ", ".join(map(str, neighbours)) or "none found"),
     ]
