@@ -9,7 +9,13 @@ import pytest
 
 from test.helpers import box_room
 from test.helpers_voxels import as_set, block, grid_of, quarter_turn, two_rooms_with_a_door
-from topometric_ros.extraction.navigation import NavigationConfig, navigable_volume, unobstructed
+from topometric_ros.extraction.navigation import (
+    NavigationConfig,
+    navigable_volume,
+    on_storeys,
+    unobstructed,
+)
+from topometric_ros.extraction.storeys import StoreyHeights
 from topometric_ros.voxels.grid import voxelise
 from topometric_ros.voxels.index import VoxelIndex
 
@@ -99,3 +105,25 @@ def test_where_nothing_can_be_stood_on_the_volume_is_empty() -> None:
     config = replace(CONFIG, keep="all", smallest_area=100.0)
     assert navigable_volume(grid_of(block((0, 0, 0), (3, 3, 0))), config).shape == (0, 3)
     assert navigable_volume(grid_of(np.zeros((0, 3), np.int32)), CONFIG).shape == (0, 3)
+
+
+def test_a_ceiling_and_a_bed_are_no_floor_but_stairs_through_a_ceiling_are() -> None:
+    """At 0.1 m: floors at 0 and 3.0, a ceiling at 2.5, a bed at 0.5, stairs from floor to floor."""
+    low, high = block((0, 0, 0), (39, 39, 0)), block((0, 60, 30), (39, 99, 30))
+    ceiling, bed = block((0, 0, 25), (39, 39, 25)), block((5, 5, 5), (19, 18, 5))
+    treads = [block((0, 40 + 2 * i // 3, i), (9, 40 + 2 * i // 3, i)) for i in range(1, 30)]
+    grid = grid_of(np.concatenate([low, high, ceiling, bed, *treads]))
+    storeys = (StoreyHeights(0.0, 2.5, True), StoreyHeights(3.0, 5.7, False))
+    config = NavigationConfig(keep="all", largest_off_floor=4.0)
+    kept = as_set(on_storeys(grid.coords, grid, storeys, config))
+    assert kept == as_set(grid.coords) - as_set(ceiling) - as_set(bed)
+    drafted = on_storeys(grid.coords, grid, storeys, NavigationConfig())
+    assert len(drafted) == len(grid)
+
+
+def test_a_floor_that_is_no_storey_is_kept_where_it_is_large() -> None:
+    low, stage = block((0, 0, 0), (39, 39, 0)), block((60, 0, 8), (99, 39, 8))
+    grid = grid_of(np.concatenate([low, stage]))
+    config = NavigationConfig(keep="all", largest_off_floor=4.0)
+    storeys = (StoreyHeights(0.0, 2.5, True),)
+    assert len(on_storeys(grid.coords, grid, storeys, config)) == len(grid)

@@ -33,7 +33,9 @@ class ExtractionConfig:
     level: LevelConfig = field(default_factory=LevelConfig)
     storeys: StoreyConfig = field(default_factory=StoreyConfig)
     layers: LayersConfig = field(default_factory=LayersConfig)
-    navigation: NavigationConfig = field(default_factory=lambda: NavigationConfig(keep="all"))
+    navigation: NavigationConfig = field(
+        default_factory=lambda: NavigationConfig(keep="all", largest_off_floor=4.0)
+    )
     viewpoints: ViewpointConfig = field(default_factory=lambda: ViewpointConfig(step=2))
     narrowings: NarrowingsConfig = field(default_factory=NarrowingsConfig)
     views: ThesisRoomsConfig = field(default_factory=ThesisRoomsConfig)

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
+from topometric_ros.extraction.storeys import StoreyHeights
 from topometric_ros.voxels.components import connected_components
 from topometric_ros.voxels.grid import VoxelGrid
 from topometric_ros.voxels.index import VoxelIndex
@@ -39,6 +41,9 @@ _GAP = 0.3
 _BESIDE = 0.4
 """How far from the rim of a component something may stand to count as beside it, m: a stick's
 radius, and two voxels of 0.1 m for what the lattice adds."""
+_AT_FLOOR = 0.3
+_AT_CEILING = 0.2
+"""How far from a storey's floor, or ceiling, something still belongs to it, m."""
 _STANDING = (0.4, 0.6, 0.8, 1.0, 1.2, 1.4)
 """Heights above the floor at which something that stands there is looked for, m: above noise and
 steps, below lintels. Walls are upright, so a few heights will do."""
@@ -81,6 +86,13 @@ class NavigationConfig:
         "Smallest share of a component's rim with something standing beside it; 0 keeps roofs.",
         minimum=0.0,
         maximum=1.0,
+    )
+    largest_off_floor: float = parameter(
+        0.0,
+        "Larger level patches at the height of a storey's ceiling are no floor, nor are smaller "
+        "components that come near no storey's floor; 0 keeps all.",
+        unit="m^2",
+        minimum=0.0,
     )
     smallest_area: float = parameter(
         1.0,
@@ -128,6 +140,59 @@ def navigable_volume(grid: VoxelGrid, config: NavigationConfig) -> NDArray[np.in
         kept &= voxels * grid.voxel_size**2 >= config.smallest_area
     logger.debug("%d navigable components, %d kept", len(kept), kept.sum())
     return grid.coords[np.sort(row[kept[component] & (row >= 0)])]
+
+
+def on_storeys(
+    navigable: NDArray[np.int32],
+    grid: VoxelGrid,
+    storeys: Sequence[StoreyHeights],
+    config: NavigationConfig,
+) -> NDArray[np.int32]:
+    """Drop what cannot be a floor once the storeys are known: ceilings, and beds and tables.
+
+    A ceiling whose upper side is walls and slabs has things standing beside it as a floor has. It
+    is told by its height; steps of stairs that pass there are too small to be one.
+
+    Parameters
+    ----------
+    navigable : (M, 3) int32, cells of the grid in Morton order
+    grid : the occupied voxels
+    storeys : their floors and ceilings
+    config : `largest_off_floor`; 0 returns everything
+
+    Returns
+    -------
+    (K, 3) int32, the rows that stay
+    """
+    if config.largest_off_floor == 0.0 or len(navigable) == 0 or not storeys:
+        return navigable
+    most = config.largest_off_floor / grid.voxel_size**2
+    z = grid.origin[2] + navigable[:, 2] * grid.voxel_size
+    floors = np.array([s.floor for s in storeys])
+    ceilings = np.array([s.ceiling for s in storeys if s.ceiling_seen])
+    at_floor = (np.abs(z[:, None] - floors) <= max(_AT_FLOOR, grid.voxel_size)).any(axis=1)
+    at_ceiling = (np.abs(z[:, None] - ceilings) <= max(_AT_CEILING, grid.voxel_size)).any(axis=1)
+    kept = np.ones(len(navigable), bool)
+    suspects = np.flatnonzero(at_ceiling & ~at_floor)
+    if len(suspects):
+        patch = connected_components(navigable[suspects], connectivity("26"))
+        kept[suspects] = np.bincount(patch)[patch] <= most
+    rest = np.flatnonzero(kept)
+    if len(rest) == 0:
+        return navigable[:0]
+    # Steps are joined over the height that an agent climbs.
+    steps = _flat_steps(math.floor(config.dilation / grid.voxel_size + 0.5) + 1)
+    component = connected_components(navigable[rest], steps)
+    touching = np.bincount(component, at_floor[rest]) > 0
+    kept[rest] = (touching | (np.bincount(component) > most))[component]
+    return navigable[kept]
+
+
+def _flat_steps(rise: int) -> Kernel:
+    """Return the cells beside a voxel, up to `rise` cells higher or lower."""
+    flat, tall = np.arange(-1, 2), np.arange(-rise, rise + 1)
+    offsets = np.stack(np.meshgrid(flat, flat, tall, indexing="ij"), -1).reshape(-1, 3)
+    return kernel_of(offsets)
 
 
 def _enclosure(

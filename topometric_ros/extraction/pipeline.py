@@ -19,7 +19,7 @@ from topometric_ros.extraction.extent import anchor, moved_finding, without_isla
 from topometric_ros.extraction.layers import refine_floor, storey_layers
 from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
 from topometric_ros.extraction.mapped_rooms import MappedRooms
-from topometric_ros.extraction.navigation import navigable_volume
+from topometric_ros.extraction.navigation import navigable_volume, on_storeys
 from topometric_ros.extraction.passages import passages_of
 from topometric_ros.extraction.quality import Finding, Quality
 from topometric_ros.extraction.storeys import (
@@ -245,6 +245,7 @@ def _rooms(
     """Return the room of every voxel, the navigable voxels and the viewpoints."""
     with watch.stage("navigation"):
         navigable = navigable_volume(scene.grid, config.navigation)
+        navigable = on_storeys(navigable, scene.grid, scene.storeys, config.navigation)
     with watch.stage("viewpoints"):
         eyes = viewpoints(navigable, scene.grid, config.viewpoints)
     with watch.stage("rooms"):
