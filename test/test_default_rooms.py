@@ -163,6 +163,20 @@ def test_a_sloped_roof_is_no_wall() -> None:
     assert walls[1] > 0.3
 
 
+def test_an_attic_under_a_pitched_roof_is_one_room() -> None:
+    x, y = (g.ravel() for g in np.meshgrid(np.arange(0, 8, 0.04), np.arange(0, 9, 0.04)))
+    height = 0.5 + np.minimum(y, 9 - y) * 0.7
+    floor = np.stack([x, y, np.zeros(x.size)], -1)
+    roof = np.stack([x, y, height], -1)
+    gables = []
+    for side in (0.0, 8.0):
+        v, h = (g.ravel() for g in np.meshgrid(np.arange(0, 9, 0.04), np.arange(0, 4.5, 0.04)))
+        under = h < 0.5 + np.minimum(v, 9 - v) * 0.7
+        gables.append(np.stack([np.full(v.size, side), v, h], -1)[under])
+    grid, labels = _labels(moved(np.concatenate([floor, roof, *gables]), yaw_transform(0.3)))
+    assert np.bincount(labels + 1).max() > 0.97 * len(grid)
+
+
 def test_what_lies_far_from_every_room_belongs_to_none() -> None:
     wall = np.stack(np.meshgrid([12.0], np.arange(0, 3, 0.05), np.arange(0, 2.6, 0.05)), -1)
     room = box_room((0, 0, 0), (5, 4, 2.6))

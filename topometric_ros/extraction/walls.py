@@ -16,6 +16,11 @@ from topometric_ros.configuration import parameter
 from topometric_ros.extraction.columns import Columns
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
 
+_EIGHT = np.ones((3, 3), bool)
+
+_INSIDE = 3
+"""Cells from a face of a wall to its inside, at most."""
+
 MARGIN = 10
 """Empty cells round the raster, so that no operation meets its edge."""
 
@@ -136,10 +141,14 @@ def storey_raster(
 def _without_roofs(
     seen: NDArray[np.bool_], support: NDArray[np.bool_], radius: float
 ) -> NDArray[np.bool_]:
-    """Close walls and drop what is thick and stands on nothing (change C of the recipe).
+    """Close walls and drop roofs, which are thick and stand on nothing (change C of the recipe).
 
-    The recipe drops closed cells too; those are the insides of thick walls and stay here.
+    A roof is known by a place too thick for a lintel and too far from all that stands for the
+    inside of a wall. What stands on nothing and hangs together with it goes too, 0.6 m far.
     """
     wall = closed(seen, radius)
-    supported = ndimage.binary_dilation(support, np.ones((3, 3), bool))
-    return wall & ~(opened(wall, radius) & ~supported & seen)
+    hanging = wall & ~ndimage.binary_dilation(support, _EIGHT)
+    core = opened(wall, radius) & ~dilated(support, _INSIDE)
+    parts, _ = ndimage.label(hanging, _EIGHT)
+    of_roof = np.bincount(parts[core & hanging], minlength=int(parts.max()) + 1) > 0
+    return wall & ~(hanging & of_roof[parts] & dilated(core, 2 * _INSIDE))
