@@ -17,11 +17,11 @@ from topometric_ros.extraction.storeys import RASTER
 class MergingConfig:
     """Weights of the features of two touching pieces; they merge where the sum is positive."""
 
-    visibility: float = parameter(4.7, "Weight of mutual visibility.", minimum=0.0)
+    visibility: float = parameter(4.9, "Weight of mutual visibility.", minimum=0.0)
     saddle: float = parameter(4.7, "Weight of the opening's width over the rooms'.", minimum=0.0)
-    line: float = parameter(1.2, "Weight against walls that go on beyond the opening.", minimum=0.0)
-    corner: float = parameter(4.3, "Weight against free wall ends at the opening.", minimum=0.0)
-    threshold: float = parameter(3.9, "What the weighted sum must exceed.")
+    line: float = parameter(2.0, "Weight against walls that go on beyond the opening.", minimum=0.0)
+    corner: float = parameter(2.2, "Weight against free wall ends at the opening.", minimum=0.0)
+    threshold: float = parameter(4.4, "What the weighted sum must exceed.")
     view_range: float = parameter(
         12.0, "Range within which floor points look at each other.", unit="m", minimum=2.0
     )
