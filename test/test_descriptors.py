@@ -25,7 +25,8 @@ from topometric_ros.matching.descriptors import (
     describe,
     described,
 )
-from topometric_ros.matching.descriptors.engineered import FEATURES
+from topometric_ros.matching.descriptors.engineered import FEATURES, bounding_sides
+from topometric_ros.matching.descriptors.roughness import roughness
 from topometric_ros.matching.descriptors.spectral import neighbourhood_graph
 from topometric_ros.voxels.grid import in_morton_order
 
@@ -50,29 +51,47 @@ def test_planes_do_not_depend_on_how_many_are_fitted_at_a_time(
 
 
 def test_engineered_features_of_a_box_are_its_sizes() -> None:
-    points = box_shell(41, 31, 26) * 0.1
-    values = dict(zip(FEATURES, EngineeredDescriptor().features(points, 0.1), strict=True))
+    voxels = box_shell(41, 31, 26)
+    values = dict(zip(FEATURES, EngineeredDescriptor().features(voxels, 0.1), strict=True))
     assert values["height"] == pytest.approx(2.5)
     assert values["horizontal_area"] == pytest.approx(12.0)
     assert values["volume"] == pytest.approx(30.0)
-    assert values["surface"] == pytest.approx(len(points) * 0.01)
+    assert values["surface"] == pytest.approx(len(voxels) * 0.01)
     assert values["verticality"] == pytest.approx(0.0, abs=1e-6)
 
 
-@settings(max_examples=4, deadline=None)
-@given(yaw=st.floats(-3.1, 3.1), x=st.floats(-50, 50), z=st.floats(-9, 9))
-def test_engineered_features_do_not_change_with_yaw_and_translation(
-    yaw: float, x: float, z: float
+@settings(max_examples=6, deadline=None)
+@given(turns=st.integers(0, 3), x=st.integers(-500, 500), z=st.integers(-90, 90))
+def test_engineered_features_do_not_change_with_quarter_turns_and_translation(
+    turns: int, x: int, z: int
 ) -> None:
-    points = box_shell(16, 11, 8) * 0.1
-    # Neighbours at equal distances would be picked by rounding.
-    points += np.random.default_rng(0).normal(0, 0.01, points.shape)
-    T = yaw_transform(yaw, (x, -x, z))
-    moved = points @ T[:3, :3].T + T[:3, 3]
-    describe_points = EngineeredDescriptor().features
-    np.testing.assert_allclose(
-        describe_points(moved, 0.1), describe_points(points, 0.1), rtol=1e-5, atol=1e-6
-    )
+    rng = np.random.default_rng(turns)
+    voxels = in_morton_order(np.concatenate([box_shell(16, 11, 8), rng.integers(0, 9, (60, 3))]))
+    turn = np.rint(yaw_transform(turns * np.pi / 2, (0, 0, 0))[:3, :3]).astype(np.int32)
+    moved = in_morton_order(voxels @ turn.T + (x, -x, z))
+    features = EngineeredDescriptor().features
+    np.testing.assert_allclose(features(moved, 0.1), features(voxels, 0.1), rtol=1e-5, atol=1e-6)
+
+
+@given(yaw=st.floats(-3.1, 3.1), x=st.floats(-50, 50))
+def test_the_smallest_rectangle_turns_with_the_room(yaw: float, x: float) -> None:
+    points = box_shell(16, 11, 2)[:, :2] * 0.1
+    T = yaw_transform(yaw, (x, -x, 0.0))
+    sides = bounding_sides(points @ T[:2, :2].T + T[:2, 3], "oriented")
+    assert sorted(sides) == pytest.approx([1.0, 1.5])
+
+
+def test_roughness_is_the_mean_distance_to_planes_through_the_nearest_voxels() -> None:
+    voxels = in_morton_order(np.random.default_rng(3).integers(0, 8, (150, 3)))
+    expected = []
+    for voxel in voxels:
+        square = np.sort(((voxels - voxel) ** 2).sum(1))
+        near = voxels[((voxels - voxel) ** 2).sum(1) <= min(square[11], 15)]
+        centred = near - near.mean(0)
+        normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+        expected.append(np.abs(centred @ normal).mean() * 12)
+    assert roughness(voxels, 12) == pytest.approx(np.mean(expected), rel=1e-9)
+    assert roughness(box_shell(9, 9, 1), 12) == 0.0
 
 
 @pytest.mark.parametrize("names", [("engineered", "spectral"), ("shape",)])
@@ -100,6 +119,15 @@ def test_laplacian_spectrum_is_that_of_the_dense_matrix() -> None:
     descriptor = SpectralDescriptor(eigenvalues=6, neighbourhood="von_neumann", cell=0.1)
     expected = np.linalg.eigvalsh(laplacian)[1:7] / 0.01
     np.testing.assert_allclose(descriptor.spectrum(coords, 0.1), expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(30, 24, 19), (60, 20, 25)])
+def test_many_eigenvalues_of_a_large_room_are_those_of_the_dense_matrix(shape) -> None:
+    coords = in_morton_order(box_shell(*shape) // 3)
+    graph = neighbourhood_graph(coords, "moore").toarray()
+    expected = np.linalg.eigvalsh(np.diag(graph.sum(axis=1)) - graph)[1:33] / 0.09
+    found = SpectralDescriptor().spectrum(box_shell(*shape), 0.1)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_adjacency_spectrum_is_the_singular_values() -> None:
@@ -146,7 +174,7 @@ def test_the_topological_descriptor_sees_the_graph_and_no_geometry() -> None:
 def test_a_room_of_one_voxel_has_descriptors_too() -> None:
     assert ShapeDescriptor().histograms(np.zeros((1, 3))).tolist() == [0.0] * 38
     assert SpectralDescriptor().spectrum(np.zeros((1, 3), np.int32), 0.1).tolist() == [0.0] * 32
-    assert np.isfinite(EngineeredDescriptor().features(np.zeros((1, 3)), 0.1)).all()
+    assert np.isfinite(EngineeredDescriptor().features(np.zeros((1, 3), np.int32), 0.1)).all()
 
 
 def test_describing_twice_gives_the_same_bytes_and_is_not_repeated() -> None:

@@ -46,7 +46,8 @@ class Columns:
 
 def sort_columns(coords: NDArray[np.int32]) -> Columns:
     """Sort voxels (N, 3) int32, distinct, N > 0, into columns along z."""
-    order = np.lexsort((coords[:, 2], coords[:, 1], coords[:, 0]))
+    x, y, z = (coords - coords.min(0)).astype(np.int64).T
+    order = np.argsort((x << 42) | (y << 21) | z)
     ordered = coords[order]
     change = np.any(np.diff(ordered[:, :2], axis=0) != 0, axis=1)
     first = np.concatenate([[0], np.flatnonzero(change) + 1])

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.quality import Finding
 from topometric_ros.extraction.surfaces import likely_unit
+from topometric_ros.voxels.grid import bounds
 
 _FAR = 1000.0
 """A cloud whose middle lies farther from its origin is moved by whole multiples of this, m."""
@@ -62,14 +63,14 @@ def without_strays(
     ExtractionError
         What stays is wider than 360,000 m², as clouds that are not in metres are.
     """
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = bounds(points)
     total = len(points)
     if max(np.abs(low).max(), np.abs(high).max()) > _NOWHERE:
         points = _few_dropped(points, np.asarray((np.abs(points) <= _NOWHERE).all(axis=1)))
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = bounds(points)
     if _is_wide(low, high):
         points = _few_dropped(points, _largest_cluster(points))
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = bounds(points)
     x, y, z = high - low
     if x * y > _WIDEST:
         raise ExtractionError(
@@ -120,7 +121,7 @@ def anchor(points: NDArray[np.float64]) -> NDArray[np.float64]:
     projected coordinates (UTM): then the nearest multiple of a kilometre in each axis. Lattices,
     rasters and single precision all do with a few kilometres.
     """
-    if max(np.abs(points.min(axis=0)).max(), np.abs(points.max(axis=0)).max()) <= _FAR:
+    if np.abs(bounds(points)).max() <= _FAR:
         return np.zeros(3)
     middle = np.median(points, axis=0)
     if np.abs(middle).max() <= _FAR:

@@ -75,6 +75,8 @@ class _Scene:
 
     def per_voxel(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
         """Carry labels (R,) of the 0.1 m voxels over to the map's voxels: (N,) int32."""
+        if self.cell_of_point is self.raster_of_point:
+            return labels
         return majority(self.cell_of_point, labels[self.raster_of_point])
 
 

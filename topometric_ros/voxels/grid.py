@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.topometric_map import OFFSET_STEPS
-from topometric_ros.voxels.morton import morton_encode
+from topometric_ros.voxels.index import EMPTY, bit_count, brick_key, cell_in_brick, slot_of
+from topometric_ros.voxels.morton import check_limit, morton_code, morton_decode, morton_encode
 
 
 class VoxelError(TopometricError):
@@ -63,10 +64,13 @@ def voxelise(
     if len(points) == 0:
         raise VoxelError("no points to put into voxels")
     origin = np.asarray(origin, dtype=np.float64)
-    coords = lattice_coordinates(points, voxel_size, origin)
-    codes = morton_encode(coords)
-    _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
-    return VoxelGrid(coords[first].astype(np.int32), origin, voxel_size), inverse.reshape(-1)
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    extremes = lattice_coordinates(bounds(points), voxel_size, origin)
+    check_limit(int(extremes.min()), int(extremes.max()))
+    codes, masks, cell_of_point = _sort_into_bricks(points, float(voxel_size), origin)
+    order = np.argsort(codes)
+    cells, cell_of_point = _numbered(codes, masks, order, cell_of_point)
+    return VoxelGrid(morton_decode(cells), origin, voxel_size), cell_of_point
 
 
 def lattice_coordinates(
@@ -78,8 +82,20 @@ def lattice_coordinates(
 
 def in_morton_order(coords: NDArray[np.integer]) -> NDArray[np.int32]:
     """Return the distinct coordinates among `coords` (N, 3), in Morton order."""
-    _, first = np.unique(morton_encode(coords), return_index=True)
-    return coords[first].astype(np.int32)
+    codes = np.sort(morton_encode(coords))
+    return morton_decode(codes[np.append(True, codes[1:] != codes[:-1])] if len(codes) else codes)
+
+
+@njit(cache=True, nogil=True)
+def bounds(points):  # type: ignore[no-untyped-def]
+    """Lowest and highest coordinates of points (N, 3), N > 0, in one pass: (2, 3) float64."""
+    result = np.empty((2, 3))
+    result[0] = result[1] = points[0]
+    for i in range(len(points)):
+        for axis in range(3):
+            result[0, axis] = min(result[0, axis], points[i, axis])
+            result[1, axis] = max(result[1, axis], points[i, axis])
+    return result
 
 
 def surface_offsets(
@@ -116,3 +132,87 @@ def _sums(points, cell_of_point, cells):  # type: ignore[no-untyped-def]
             total[row, axis] += points[i, axis]
         total[row, 3] += 1.0
     return total
+
+
+@njit(cache=True, nogil=True)
+def _sort_into_bricks(points, voxel_size, origin):  # type: ignore[no-untyped-def]
+    """Find the brick of 4 x 4 x 4 cells that holds each point, and the cells with points.
+
+    Sorting a few bricks is much quicker than sorting all points. Returns the bricks' Morton
+    codes (B,), their cells as bits (B,), both by first point, and each point's brick and cell in
+    it as brick * 64 + bit (P,).
+    """
+    codes = np.empty(1 << 11, np.uint64)
+    masks = np.zeros(1 << 11, np.uint64)
+    keys = np.full(1 << 12, EMPTY, np.int64)
+    bricks = np.empty(1 << 12, np.int64)
+    place = np.empty(len(points), np.int64)
+    done, count = _fill(points, voxel_size, origin, 0, 0, keys, bricks, codes, masks, place)
+    while done < len(points):
+        keys, bricks = _doubled(keys, bricks)
+        codes = np.append(codes, np.empty(count, np.uint64))
+        masks = np.append(masks, np.zeros(count, np.uint64))
+        done, count = _fill(
+            points, voxel_size, origin, done, count, keys, bricks, codes, masks, place
+        )
+    return codes[:count], masks[:count], place
+
+
+@njit(cache=True, nogil=True)
+def _fill(  # type: ignore[no-untyped-def]
+    points, voxel_size, origin, done, count, keys, bricks, codes, masks, place
+):
+    """Put points into bricks until all are done or the arrays full; how many of both there are."""
+    slot, last = 0, np.int64(EMPTY)
+    for p in range(done, len(points)):
+        x = np.int64(np.floor((points[p, 0] - origin[0]) / voxel_size + 0.5))
+        y = np.int64(np.floor((points[p, 1] - origin[1]) / voxel_size + 0.5))
+        z = np.int64(np.floor((points[p, 2] - origin[2]) / voxel_size + 0.5))
+        key = brick_key(x, y, z)
+        if key != last:  # points often come in some order of place
+            slot, last = slot_of(keys, key), key
+        if keys[slot] == EMPTY:
+            if count == len(codes):
+                return p, count
+            keys[slot], bricks[slot] = key, count
+            codes[count] = morton_code(x, y, z) >> np.uint64(6)
+            count += 1
+        low = cell_in_brick(x, y, z)
+        masks[bricks[slot]] |= np.uint64(1) << np.uint64(low)
+        place[p] = bricks[slot] * 64 + low
+    return len(points), count
+
+
+@njit(cache=True, nogil=True)
+def _doubled(keys, values):  # type: ignore[no-untyped-def]
+    """Copy a hash table into one twice as large."""
+    more_keys = np.full(2 * len(keys), EMPTY, np.int64)
+    more_values = np.empty(2 * len(keys), np.int64)
+    for i in range(len(keys)):
+        if keys[i] != EMPTY:
+            slot = slot_of(more_keys, keys[i])
+            more_keys[slot], more_values[slot] = keys[i], values[i]
+    return more_keys, more_values
+
+
+@njit(cache=True, nogil=True)
+def _numbered(codes, masks, order, place):  # type: ignore[no-untyped-def]
+    """Number the cells of sorted bricks: their codes (N,), and the row of each point (P,)."""
+    first = np.empty(len(codes), np.int64)
+    total = 0
+    for brick in order:
+        first[brick] = total
+        total += bit_count(masks[brick])
+    cells = np.empty(total, np.uint64)
+    row = 0
+    for brick in order:
+        for bit in range(64):
+            if (masks[brick] >> np.uint64(bit)) & np.uint64(1):
+                cells[row] = (codes[brick] << np.uint64(6)) | np.uint64(bit)
+                row += 1
+    rows = np.empty(len(place), np.int64)
+    for p in range(len(place)):
+        brick = place[p] >> 6
+        below = (np.uint64(1) << np.uint64(place[p] & 63)) - np.uint64(1)
+        rows[p] = first[brick] + bit_count(masks[brick] & below)
+    return cells, rows

@@ -17,7 +17,8 @@ from topometric_ros.voxels.morton import morton_encode
 
 _BRICK_OFFSET = 1 << 19
 _HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Fibonacci hashing
-_EMPTY = -1
+EMPTY = -1
+"""Key of an unused place in a hash table."""
 
 Table = tuple[NDArray[np.int64], NDArray[np.uint64], NDArray[np.int64], NDArray[np.int64]]
 
@@ -41,13 +42,16 @@ class VoxelIndex:
     """
 
     def __init__(self, coords: NDArray[np.integer]) -> None:
-        codes = morton_encode(np.asarray(coords).reshape(-1, 3))
-        order = np.argsort(codes, kind="stable")
-        codes = codes[order]
-        if len(codes) and (codes[1:] == codes[:-1]).any():
-            raise TopometricError(f"{len(codes)} cells of which {len(np.unique(codes))} differ")
+        coords = np.asarray(coords).reshape(-1, 3)
+        codes = morton_encode(coords)
+        order = np.arange(len(codes))
+        if not (codes[1:] > codes[:-1]).all():
+            order = np.argsort(codes, kind="stable")
+            codes = codes[order]
+            if (codes[1:] == codes[:-1]).any():
+                raise TopometricError(f"{len(codes)} cells of which {len(np.unique(codes))} differ")
         self.size = len(codes)
-        self.table: Table = _build(codes, np.asarray(coords, dtype=np.int64).reshape(-1, 3), order)
+        self.table: Table = _build(codes, coords, order)
 
     def __len__(self) -> int:
         return self.size
@@ -68,56 +72,59 @@ class VoxelIndex:
         return np.sort(found)
 
 
-def _build(codes: NDArray[np.uint64], coords: NDArray[np.int64], order: NDArray[np.int64]) -> Table:
-    """Return the hash table of bricks for sorted Morton `codes` and the cells they came from."""
-    bricks = codes >> np.uint64(6)
-    first = np.flatnonzero(np.r_[True, bricks[1:] != bricks[:-1]]) if len(codes) else order
-    bits = np.uint64(1) << (codes & np.uint64(63))
-    masks = np.bitwise_or.reduceat(bits, first) if len(codes) else bits
-    b = (coords[order[first]] >> 2) + _BRICK_OFFSET
-    keys = (b[:, 0] << 40) | (b[:, 1] << 20) | b[:, 2]
-    capacity = 1 << max(4, int(2 * len(keys)).bit_length())
-    table_keys = np.full(capacity, _EMPTY, np.int64)
-    table_masks = np.zeros(capacity, np.uint64)
-    table_first = np.zeros(capacity, np.int64)
-    _insert(table_keys, table_masks, table_first, keys, masks, first.astype(np.int64))
-    return table_keys, table_masks, table_first, order.astype(np.int64)
-
-
 @njit(cache=True, nogil=True)
-def _slot(keys, key):  # type: ignore[no-untyped-def]
+def slot_of(keys, key):  # type: ignore[no-untyped-def]
     """Slot of a brick's key, or of the empty place where it would go."""
     last = np.int64(len(keys) - 1)
     slot = np.int64((np.uint64(key) * _HASH_FACTOR) >> np.uint64(32)) & last
-    while keys[slot] != key and keys[slot] != _EMPTY:
+    while keys[slot] != key and keys[slot] != EMPTY:
         slot = (slot + 1) & last
     return slot
 
 
 @njit(cache=True, nogil=True)
-def _insert(table_keys, table_masks, table_first, keys, masks, first):  # type: ignore[no-untyped-def]
-    for i in range(len(keys)):
-        slot = _slot(table_keys, keys[i])
-        table_keys[slot] = keys[i]
-        table_masks[slot] = masks[i]
-        table_first[slot] = first[i]
+def _build(codes, coords, order):  # type: ignore[no-untyped-def]
+    """Return the hash table of bricks for sorted Morton `codes` and the cells they came from."""
+    bricks = 0
+    for i in range(len(codes)):
+        bricks += i == 0 or codes[i] >> np.uint64(6) != codes[i - 1] >> np.uint64(6)
+    capacity = 16
+    while capacity <= 2 * bricks:
+        capacity *= 2
+    keys = np.full(capacity, EMPTY, np.int64)
+    masks = np.zeros(capacity, np.uint64)
+    first = np.zeros(capacity, np.int64)
+    slot = 0
+    for i in range(len(codes)):
+        if i == 0 or codes[i] >> np.uint64(6) != codes[i - 1] >> np.uint64(6):
+            key = brick_key(coords[order[i], 0], coords[order[i], 1], coords[order[i], 2])
+            slot = slot_of(keys, key)
+            keys[slot], first[slot] = key, i
+        masks[slot] |= np.uint64(1) << (codes[i] & np.uint64(63))
+    return keys, masks, first, order
+
+
+@njit(cache=True, nogil=True)
+def brick_key(x, y, z):  # type: ignore[no-untyped-def]
+    """Key of the brick that holds a cell."""
+    bx = (np.int64(x) >> 2) + _BRICK_OFFSET
+    by = (np.int64(y) >> 2) + _BRICK_OFFSET
+    bz = (np.int64(z) >> 2) + _BRICK_OFFSET
+    return (bx << 40) | (by << 20) | bz
 
 
 @njit(cache=True, nogil=True)
 def brick_slot(table, x, y, z):  # type: ignore[no-untyped-def]
     """Slot of the brick that holds a cell; its mask is 0 where no such brick is occupied."""
-    bx = (np.int64(x) >> 2) + _BRICK_OFFSET
-    by = (np.int64(y) >> 2) + _BRICK_OFFSET
-    bz = (np.int64(z) >> 2) + _BRICK_OFFSET
-    return _slot(table[0], (bx << 40) | (by << 20) | bz)
+    return slot_of(table[0], brick_key(x, y, z))
 
 
 @njit(cache=True, nogil=True)
-def brick_bit(x, y, z):  # type: ignore[no-untyped-def]
-    """Bit of a cell in its brick's mask: the six low bits of its Morton code."""
+def cell_in_brick(x, y, z):  # type: ignore[no-untyped-def]
+    """Place of a cell in its brick, 0..63: the six low bits of its Morton code."""
     low = (x & 1) | ((y & 1) << 1) | ((z & 1) << 2)
     high = ((x & 2) << 2) | ((y & 2) << 3) | ((z & 2) << 4)
-    return np.uint64(1) << np.uint64(low | high)
+    return low | high
 
 
 @njit(cache=True, nogil=True)
@@ -134,7 +141,7 @@ def bit_count(word):  # type: ignore[no-untyped-def]
 def row_at(table, x, y, z):  # type: ignore[no-untyped-def]
     """Row of the cell (x, y, z), -1 where it is not occupied."""
     slot = brick_slot(table, x, y, z)
-    bit = brick_bit(x, y, z)
+    bit = np.uint64(1) << np.uint64(cell_in_brick(x, y, z))
     mask = table[1][slot]
     if mask & bit == np.uint64(0):
         return np.int64(-1)

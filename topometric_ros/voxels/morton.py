@@ -7,6 +7,7 @@ does not depend on a map's bounds and stays the same while the map grows.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
@@ -14,30 +15,53 @@ from topometric_ros.errors import TopometricError
 COORDINATE_LIMIT = 1 << 20
 """Coordinates lie in [-COORDINATE_LIMIT, COORDINATE_LIMIT): 105 km each way at 0.1 m."""
 
-_MASKS = (
-    (32, 0x1F00000000FFFF),
-    (16, 0x1F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
+
+@njit(cache=True, nogil=True)
+def spread(bits):  # type: ignore[no-untyped-def]
+    """Put two zero bits after each of the 21 low bits of a uint64."""
+    bits = (bits | (bits << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
+    bits = (bits | (bits << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
+    bits = (bits | (bits << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
+    bits = (bits | (bits << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
+    return (bits | (bits << np.uint64(2))) & np.uint64(0x1249249249249249)
 
 
-def _spread(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Put two zero bits after each of the 21 low bits."""
-    for shift, mask in _MASKS:
-        bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-    return bits
+@njit(cache=True, nogil=True)
+def morton_code(x, y, z):  # type: ignore[no-untyped-def]
+    """Morton code of one cell within the limit, for compiled code."""
+    code = spread(np.uint64(x + COORDINATE_LIMIT))
+    code |= spread(np.uint64(y + COORDINATE_LIMIT)) << np.uint64(1)
+    return code | (spread(np.uint64(z + COORDINATE_LIMIT)) << np.uint64(2))
 
 
-def _gather(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Undo :func:`_spread`."""
-    bits = bits & np.uint64(_MASKS[-1][1])
-    for (shift, _), mask in zip(
-        reversed(_MASKS), (*(m for _, m in reversed(_MASKS[:-1])), 0x1FFFFF), strict=True
-    ):
-        bits = (bits | (bits >> np.uint64(shift))) & np.uint64(mask)
-    return bits
+@njit(cache=True, nogil=True)
+def _codes(coords):  # type: ignore[no-untyped-def]
+    codes = np.empty(len(coords), np.uint64)
+    for i in range(len(coords)):
+        x, y, z = np.int64(coords[i, 0]), np.int64(coords[i, 1]), np.int64(coords[i, 2])
+        codes[i] = morton_code(x, y, z)
+    return codes
+
+
+@njit(cache=True, nogil=True)
+def _gathered(bits):  # type: ignore[no-untyped-def]
+    """Undo :func:`spread`."""
+    bits = bits & np.uint64(0x1249249249249249)
+    bits = (bits | (bits >> np.uint64(2))) & np.uint64(0x10C30C30C30C30C3)
+    bits = (bits | (bits >> np.uint64(4))) & np.uint64(0x100F00F00F00F00F)
+    bits = (bits | (bits >> np.uint64(8))) & np.uint64(0x1F0000FF0000FF)
+    bits = (bits | (bits >> np.uint64(16))) & np.uint64(0x1F00000000FFFF)
+    return (bits | (bits >> np.uint64(32))) & np.uint64(0x1FFFFF)
+
+
+@njit(cache=True, nogil=True)
+def _coords(codes):  # type: ignore[no-untyped-def]
+    coords = np.empty((len(codes), 3), np.int32)
+    for i in range(len(codes)):
+        for axis in range(3):
+            cell = np.int64(_gathered(codes[i] >> np.uint64(axis)))
+            coords[i, axis] = cell - COORDINATE_LIMIT
+    return coords
 
 
 def morton_encode(coords: NDArray[np.integer]) -> NDArray[np.uint64]:
@@ -63,18 +87,23 @@ def morton_encode(coords: NDArray[np.integer]) -> NDArray[np.uint64]:
     >>> (codes - codes[0]).tolist()
     [0, 1, 2]
     """
-    coords = np.asarray(coords, dtype=np.int64)
-    if coords.size and (coords.min() < -COORDINATE_LIMIT or coords.max() >= COORDINATE_LIMIT):
+    coords = np.asarray(coords).reshape(-1, 3)
+    if coords.size:
+        check_limit(int(coords.min()), int(coords.max()))
+    codes: NDArray[np.uint64] = _codes(coords)
+    return codes
+
+
+def check_limit(low: int, high: int) -> None:
+    """Raise TopometricError where coordinates from `low` to `high` have no Morton code."""
+    if low < -COORDINATE_LIMIT or high >= COORDINATE_LIMIT:
         raise TopometricError(
-            f"voxel coordinates {coords.min()}..{coords.max()} exceed ±{COORDINATE_LIMIT}; "
+            f"voxel coordinates {low}..{high} exceed ±{COORDINATE_LIMIT}; "
             "use a larger voxel or move the cloud nearer to its origin"
         )
-    x, y, z = ((coords + COORDINATE_LIMIT).astype(np.uint64)).T.reshape(3, -1)
-    return _spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2))
 
 
 def morton_decode(codes: NDArray[np.uint64]) -> NDArray[np.int32]:
     """Undo :func:`morton_encode`: (N,) uint64 to (N, 3) int32 voxel coordinates."""
-    codes = np.asarray(codes, dtype=np.uint64)
-    axes = [_gather(codes >> np.uint64(axis)) for axis in range(3)]
-    return (np.stack(axes, axis=-1).astype(np.int64) - COORDINATE_LIMIT).astype(np.int32)
+    coords: NDArray[np.int32] = _coords(np.asarray(codes, dtype=np.uint64))
+    return coords

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from topometric_ros.matching.descriptors.base import room_voxels
-from topometric_ros.matching.planes import fit_planes
+from topometric_ros.matching.descriptors.roughness import roughness
 from topometric_ros.topometric_map import TopometricMap
 
 FEATURES = (
@@ -39,7 +39,7 @@ class EngineeredDescriptor:
 
     box: str = "oriented"
     roughness_neighbours: int = 12
-    version: int = 1
+    version: int = 2
 
     @property
     def name(self) -> str:
@@ -56,23 +56,20 @@ class EngineeredDescriptor:
     ) -> NDArray[np.float32]:
         """Describe every room, or each set of rooms in `members` merged: (R, 9) float32."""
         size = topometric_map.voxel_size
-        rows = [
-            self.features(voxels.astype(np.float64) * size, size)
-            for voxels in room_voxels(topometric_map, members)
-        ]
+        rows = [self.features(voxels, size) for voxels in room_voxels(topometric_map, members)]
         return np.array(rows, dtype=np.float32).reshape(-1, self.dimension)
 
-    def features(self, points: NDArray[np.float64], voxel_size: float) -> list[float]:
-        """Return the nine features of a room's cell centres (n, 3), m; zeros without points."""
-        if len(points) == 0:
+    def features(self, voxels: NDArray[np.int32], voxel_size: float) -> list[float]:
+        """Return the nine features of a room's voxels (n, 3), edge in m; zeros without voxels."""
+        if len(voxels) == 0:
             return [0.0] * self.dimension
+        points = voxels.astype(np.float64) * voxel_size
         height = float(np.ptp(points[:, 2]))
-        length, width = self._sides(points[:, :2])
+        length, width = bounding_sides(_outline(voxels) * np.float64(voxel_size), self.box)
         centred = points - points.mean(axis=0)
         eigenvalues, vectors = np.linalg.eigh(centred.T @ centred / len(points))
         third, second, first = np.maximum(eigenvalues, 0.0)
         tiny = np.finfo(float).tiny
-        _, plane_distances = fit_planes(points, self.roughness_neighbours)
         return [
             length * width * height,
             height,
@@ -82,21 +79,37 @@ class EngineeredDescriptor:
             float(first / max(second + third, tiny)) if first > 0 else 0.0,
             float(third / max(first + second, tiny)),
             float(abs(vectors[2, 2])),
-            float(plane_distances.mean()),
+            roughness(voxels, self.roughness_neighbours) * voxel_size,
         ]
 
-    def _sides(self, horizontal: NDArray[np.float64]) -> tuple[float, float]:
-        """Return the two sides (m) of the horizontal bounding rectangle of points (n, 2)."""
-        aligned = np.ptp(horizontal, axis=0)
-        if self.box == "axis_aligned" or len(horizontal) < 3 or aligned.min() == 0:
-            return float(aligned[0]), float(aligned[1])
-        try:
-            hull = horizontal[ConvexHull(horizontal).vertices]
-        except QhullError:  # all points on one oblique line
-            return float(np.linalg.norm(aligned)), 0.0
-        edges = np.roll(hull, -1, axis=0) - hull
-        along = edges / np.linalg.norm(edges, axis=1, keepdims=True)
-        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-        lengths, widths = np.ptp(hull @ along.T, axis=0), np.ptp(hull @ across.T, axis=0)
-        smallest = int(np.argmin(lengths * widths))
-        return float(lengths[smallest]), float(widths[smallest])
+
+def _outline(voxels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the first and last cell of every row along y, seen from above: (m, 2) int32."""
+    low = voxels[:, 0].min()
+    first = np.full(voxels[:, 0].max() - low + 1, np.iinfo(np.int32).max, np.int32)
+    last = np.full(len(first), np.iinfo(np.int32).min, np.int32)
+    np.minimum.at(first, voxels[:, 0] - low, voxels[:, 1])
+    np.maximum.at(last, voxels[:, 0] - low, voxels[:, 1])
+    held = np.flatnonzero(last >= first)
+    ends = [np.stack([held + low, side[held]], 1) for side in (first, last)]
+    return np.concatenate(ends).astype(np.int32)
+
+
+def bounding_sides(horizontal: NDArray[np.float64], box: str) -> tuple[float, float]:
+    """Return the two sides of the smallest rectangle round points (n, 2), or the aligned one.
+
+    `box` is "oriented" or "axis_aligned".
+    """
+    aligned = np.ptp(horizontal, axis=0)
+    if box == "axis_aligned" or len(horizontal) < 3 or aligned.min() == 0:
+        return float(aligned[0]), float(aligned[1])
+    try:
+        hull = horizontal[ConvexHull(horizontal).vertices]
+    except QhullError:  # all points on one oblique line
+        return float(np.linalg.norm(aligned)), 0.0
+    edges = np.roll(hull, -1, axis=0) - hull
+    along = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    lengths, widths = np.ptp(hull @ along.T, axis=0), np.ptp(hull @ across.T, axis=0)
+    smallest = int(np.argmin(lengths * widths))
+    return float(lengths[smallest]), float(widths[smallest])

@@ -2,7 +2,8 @@
 
 The draft takes eigenvalues by singular value decomposition. Both matrices are symmetric, so their
 singular values are the absolute eigenvalues, and Lanczos iteration finds the few that are kept
-without the rest: the smallest non-zero ones of the Laplacian, the largest of the adjacency matrix.
+without the rest (`lanczos.py`): the smallest non-zero ones of the Laplacian, the largest of the
+adjacency matrix.
 Laplacian eigenvalues are divided by the squared edge of a cell (1/m²), which makes rooms comparable
 that were described at different cell sizes.
 """
@@ -13,21 +14,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
 from topometric_ros.matching.descriptors.base import room_voxels
+from topometric_ros.matching.descriptors.lanczos import smallest_laplacian_eigenvalues
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels.grid import in_morton_order
-from topometric_ros.voxels.morton import morton_encode
+from topometric_ros.voxels.index import VoxelIndex, row_at
+from topometric_ros.voxels.kernels import moore, von_neumann
 
-_DENSE = 200
+_DENSE = 100
 """Up to this many nodes the whole spectrum is cheaper than the iteration."""
-
-_SHIFT = -1e-3
-"""The Laplacian is singular; shifted by this it can be factored, and the smallest come first."""
 
 
 @dataclass(frozen=True)
@@ -81,19 +82,16 @@ class SpectralDescriptor:
         if n < 2:
             return np.zeros(0)
         wanted = min(self.eigenvalues, n - 1)
-        start = np.random.default_rng(0).standard_normal(n)  # the same iteration every time
+        dense = n <= max(_DENSE, 2 * wanted + 2)
         if self.matrix == "laplacian":
-            laplacian = diags_array(adjacency.sum(axis=1)).tocsc() - adjacency.tocsc()
-            if n <= max(_DENSE, 2 * wanted + 2):
-                values = np.linalg.eigvalsh(laplacian.toarray())[1 : wanted + 1]
-            else:
-                values = np.sort(
-                    eigsh(laplacian, k=wanted + 1, sigma=_SHIFT, v0=start, tol=1e-6)[0]
-                )[1:]
-            return np.maximum(values, 0.0)
-        if n <= max(_DENSE, 2 * wanted + 2):
+            if not dense:
+                return smallest_laplacian_eigenvalues(adjacency, wanted)
+            laplacian = np.diag(adjacency.sum(axis=1)) - adjacency.toarray()
+            return np.maximum(np.linalg.eigvalsh(laplacian)[1 : wanted + 1], 0.0)
+        if dense:
             values = np.linalg.eigvalsh(adjacency.toarray())
         else:
+            start = np.random.default_rng(0).standard_normal(n)  # the same iteration every time
             values = eigsh(adjacency, k=wanted, which="LM", v0=start, tol=1e-6)[0]
         return np.sort(np.abs(values))[::-1][:wanted]
 
@@ -105,29 +103,34 @@ def _coarsened(voxels: NDArray[np.int32], step: int) -> NDArray[np.int32]:
 
 def neighbourhood_graph(coords: NDArray[np.int32], neighbourhood: str) -> csr_array:
     """Return the adjacency matrix (n, n) of cells (n, 3) under a kernel (eq. 17-19)."""
-    n = len(coords)
-    span = range(-1, 2)
-    offsets = [(x, y, z) for x in span for y in span for z in span if (z, y, x) > (0, 0, 0)]
-    if neighbourhood == "von_neumann":
-        offsets = [o for o in offsets if sum(map(abs, o)) == 1]
-    codes = morton_encode(coords)
-    rows, columns = [], []
-    for offset in offsets:
-        wanted = morton_encode(coords + np.array(offset, dtype=np.int32))
-        found = np.minimum(np.searchsorted(codes, wanted), max(n - 1, 0))
-        hits = np.flatnonzero(codes[found] == wanted) if n else np.zeros(0, dtype=np.int64)
-        rows.append(hits)
-        columns.append(found[hits])
-    i, j = np.concatenate(rows), np.concatenate(columns)
-    ones = np.ones(2 * len(i))
-    pairs = (np.concatenate([i, j]), np.concatenate([j, i]))
-    return coo_array((ones, pairs), shape=(n, n)).tocsr()
+    kernel = von_neumann() if neighbourhood == "von_neumann" else moore()
+    ends, neighbours = _neighbours(VoxelIndex(coords).table, coords, kernel.offsets())
+    return csr_array((np.ones(len(neighbours)), neighbours, ends), shape=(len(coords),) * 2)
+
+
+@njit(cache=True, nogil=True)
+def _neighbours(table, coords, offsets):  # type: ignore[no-untyped-def]
+    """Rows of each cell's neighbours (E,) and where those of the next cell begin (n + 1,)."""
+    ends = np.zeros(len(coords) + 1, np.int32)
+    rows = np.empty(len(coords) * len(offsets), np.int32)
+    count = 0
+    for i in range(len(coords)):
+        for k in range(len(offsets)):
+            x, y, z = coords[i, 0], coords[i, 1], coords[i, 2]
+            row = row_at(table, x + offsets[k, 0], y + offsets[k, 1], z + offsets[k, 2])
+            if row >= 0:
+                rows[count] = row
+                count += 1
+        ends[i + 1] = count
+    return ends, rows[:count].copy()
 
 
 def _largest_component(adjacency: csr_array) -> csr_array:
     """Return the largest connected part; specks add zeros and nothing about the room's shape."""
     if adjacency.shape[0] == 0:
         return adjacency
-    _, label = connected_components(adjacency, directed=False)
+    parts, label = connected_components(adjacency, directed=False)
+    if parts == 1:
+        return adjacency
     keep = np.flatnonzero(label == np.argmax(np.bincount(label)))
     return adjacency[keep][:, keep]
