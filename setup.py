@@ -51,7 +51,6 @@ setup(
         f"open3d-cpu>=0.19; {X86_LINUX}",
         f"open3d>=0.19; {ELSEWHERE}",
         "networkx>=3.2",
-        "markov-clustering==0.0.6.dev0",
         "scikit-learn>=1.4",
         "mcap>=1.2",
         "rosbags>=0.11",
@@ -65,7 +64,12 @@ setup(
         "benchmark": ["kiss-matcher>=1.0; python_version < '3.13'"],
         "las": ["laspy[lazrs]>=2.5"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "test": ["pytest>=8", "hypothesis>=6.100", "laspy[lazrs]>=2.5"],
+        "test": [
+            "pytest>=8",
+            "hypothesis>=6.100",
+            "laspy[lazrs]>=2.5",
+            "markov-clustering==0.0.6.dev0",
+        ],
         "dev": ["ruff>=0.11", "mypy>=1.15", "pre-commit>=3.7", "colcon-common-extensions"],
     },
     entry_points={

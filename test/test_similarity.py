@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import markov_clustering
 import networkx
 import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
 
-from topometric_ros.extraction.similarity import SimilarityConfig, cluster_graph, markov_clusters
+from topometric_ros.extraction.markov import in_order_of_first, markov_clusters, modularity
+from topometric_ros.extraction.similarity import SimilarityConfig, cluster_graph
 
 CONFIG = SimilarityConfig()
 
@@ -30,14 +33,50 @@ def test_communities_are_found_in_the_order_of_their_first_nodes() -> None:
 
 def test_the_clusters_have_the_largest_modularity_of_all_inflations() -> None:
     weights = communities(2, (5, 7, 6, 8), 0.5)
+    tried = [modularity(weights, markov_clusters(weights, i)) for i in np.linspace(1.2, 2.5, 14)]
+    assert modularity(weights, cluster_graph(weights, CONFIG)) == pytest.approx(max(tried))
+
+
+def views_along_corridors(seed: int, count: int) -> np.ndarray:
+    """Return Jaccard-like weights of places that see less of each other the farther apart."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.0, 12.0, (count, 2)) * (1.0, 0.3)
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    weights = np.triu(
+        np.maximum(0.0, 0.9 - 0.3 * distance) * rng.uniform(0.7, 1, distance.shape), 1
+    )
+    return weights + weights.T
+
+
+GRAPHS = [
+    communities(6, (8, 3, 12), 0.3),
+    communities(7, (20, 20, 15, 5), 0.6),
+    views_along_corridors(8, 40),
+    views_along_corridors(9, 90),
+]
+
+
+@pytest.mark.parametrize("weights", GRAPHS)
+@pytest.mark.parametrize("inflation", [1.2, 1.5, 2.0, 2.5])
+def test_clusters_are_those_of_the_markov_clustering_package(
+    weights: np.ndarray, inflation: float
+) -> None:
+    flow = markov_clustering.run_mcl(csr_matrix(weights), inflation=inflation)
+    owner = np.full(len(weights), -1)
+    for number, members in enumerate(markov_clustering.get_clusters(flow)):
+        nodes = np.asarray(members)
+        owner[nodes[owner[nodes] < 0]] = number
+    owner[owner < 0] = len(weights) + np.flatnonzero(owner < 0)
+    assert markov_clusters(weights, inflation).tolist() == in_order_of_first(owner).tolist()
+
+
+@pytest.mark.parametrize("weights", GRAPHS)
+def test_modularity_is_that_of_networkx(weights: np.ndarray) -> None:
     graph = networkx.from_numpy_array(weights)
-
-    def modularity(labels: np.ndarray) -> float:
+    for labels in (markov_clusters(weights, 1.6), np.arange(len(weights)) % 3):
         groups = [np.flatnonzero(labels == c).tolist() for c in np.unique(labels)]
-        return networkx.community.modularity(graph, groups, weight="weight")
-
-    tried = [modularity(markov_clusters(weights, i)) for i in np.linspace(1.2, 2.5, 14)]
-    assert modularity(cluster_graph(weights, CONFIG)) == pytest.approx(max(tried))
+        expected = networkx.community.modularity(graph, groups, weight="weight")
+        assert modularity(weights, labels) == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_larger_inflation_never_gives_fewer_clusters_here() -> None:

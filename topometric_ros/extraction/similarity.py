@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
+from topometric_ros.extraction.markov import markov_clusters, modularity
 from topometric_ros.extraction.visibility import Visibilities, jaccard
 
 logger = logging.getLogger(__name__)
@@ -62,11 +63,8 @@ def cluster_graph(similarity: NDArray[np.float64], config: SimilarityConfig) -> 
     -------
     (K,) int32, clusters numbered in the order of their first nodes
     """
-    import networkx
-
     if not similarity.any():
         return np.arange(len(similarity), dtype=np.int32)
-    graph = networkx.from_numpy_array(similarity)
     inflations = np.linspace(config.inflation_low, config.inflation_high, config.inflation_samples)
     scored: dict[bytes, float] = {}
     best, best_score = np.zeros(len(similarity), np.int32), -np.inf
@@ -74,42 +72,10 @@ def cluster_graph(similarity: NDArray[np.float64], config: SimilarityConfig) -> 
         labels = markov_clusters(similarity, inflation)
         if labels.tobytes() in scored:
             continue
-        groups = [np.flatnonzero(labels == c).tolist() for c in range(labels.max() + 1)]
-        score = networkx.community.modularity(graph, groups, weight="weight")
+        score = modularity(similarity, labels)
         scored[labels.tobytes()] = score
-        logger.debug("inflation %.2f: %d clusters, modularity %.4f", inflation, len(groups), score)
+        found = labels.max() + 1
+        logger.debug("inflation %.2f: %d clusters, modularity %.4f", inflation, found, score)
         if score > best_score:
             best, best_score = labels, score
     return best
-
-
-def markov_clusters(similarity: NDArray[np.float64], inflation: float) -> NDArray[np.int32]:
-    """Return the Markov clusters (van Dongen 2000) of a weighted graph at one inflation.
-
-    A node that the package puts into several clusters stays in the first, one that it puts
-    into none becomes its own.
-
-    Parameters
-    ----------
-    similarity : (K, K) float64; the package adds the loops of weight 1 = J(A, A)
-    inflation : > 1; larger gives more clusters
-
-    Returns
-    -------
-    (K,) int32, clusters numbered in the order of their first nodes
-    """
-    import markov_clustering
-    from scipy.sparse import csr_matrix
-
-    # The package takes no other sparse format, and no sparse array.
-    flow = markov_clustering.run_mcl(csr_matrix(similarity), inflation=inflation)
-    owner = np.full(len(similarity), -1, np.int64)
-    for number, members in enumerate(markov_clustering.get_clusters(flow)):
-        nodes = np.asarray(members)
-        owner[nodes[owner[nodes] < 0]] = number
-    alone = owner < 0
-    owner[alone] = len(similarity) + np.flatnonzero(alone)
-    _, first, cluster = np.unique(owner, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int32)
-    rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
-    return rank[cluster.reshape(-1)]
