@@ -38,7 +38,8 @@ def markov_clusters(similarity: NDArray[np.float64], inflation: float) -> NDArra
     np.fill_diagonal(flow, 1.0)
     flow /= flow.sum(axis=0)
     # Row c of the transpose is column c of the flow: what leaves node c.
-    ends, nodes, shares = _settled(*_sparse_rows(np.ascontiguousarray(flow.T)), float(inflation))
+    ends, nodes, shares = _sparse_rows(np.ascontiguousarray(flow.T))
+    ends, nodes, shares = _settled(ends, nodes, shares, float(inflation))
     of_row = np.repeat(np.arange(count), np.diff(ends))
     members: dict[int, list[int]] = {int(a): [] for a in nodes[(nodes == of_row) & (shares > 0)]}
     for node, attractor in zip(of_row.tolist(), nodes.tolist(), strict=True):

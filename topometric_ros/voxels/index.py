@@ -4,6 +4,7 @@ Two levels of the draft's octree are one bucket here: a *brick* of 4 x 4 x 4 cel
 prefix of the Morton code (`code >> 6`), holds its occupied cells as the bits of one 64-bit word
 and, because the rows are in Morton order, needs only the row of its first cell: the others follow
 by counting bits. Bricks lie in a hash table, so memory grows with the voxels, not with the bounds.
+`octree.py` has the whole tree; for single cells and balls this is faster.
 """
 
 from __future__ import annotations
