@@ -69,6 +69,20 @@ def test_convolution_applies_its_function_to_the_weighted_neighbours(function, m
     np.testing.assert_allclose(convolve(coords, values, kernel, function), expected)
 
 
+def test_any_function_can_be_convolved() -> None:
+    coords = scattered(3, 200, 5)
+    values = np.random.default_rng(4).uniform(0.0, 1.0, len(coords))
+    for name, function in {
+        "sum": lambda v, w: float(v @ w),
+        "max": lambda v, w: float((v * w).max()),
+        "count": lambda v, w: len(v),
+    }.items():
+        expected = convolve(coords, values, moore(), name)
+        assert convolve(coords, values, moore(), function) == pytest.approx(expected)
+    alone = np.zeros((1, 3), np.int32)
+    assert convolve(alone, None, moore(), lambda v, w: float(np.median(v))).tolist() == [0.0]
+
+
 def test_a_property_left_out_is_occupancy() -> None:
     assert convolve(block((0, 0, 0), (2, 2, 2)), None, von_neumann()).max() == 6
 

@@ -7,6 +7,7 @@ value of the neighbours' values. Connectivity, dilation and the stick of §4.2.2
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,7 +125,7 @@ def convolve(
     coords: NDArray[np.int32],
     values: NDArray[np.float64] | None,
     kernel: Kernel,
-    function: str = "sum",
+    function: str | Callable[[NDArray[np.float64], NDArray[np.float64]], float] = "sum",
     index: VoxelIndex | None = None,
 ) -> NDArray[np.float64]:
     """Return a new value of every voxel from its neighbours' weighted values (eq. 15-16).
@@ -135,7 +136,9 @@ def convolve(
     values : one float64 for every voxel of the index, or None for occupancy (1 in every voxel)
     kernel : the neighbourhood
     function : "sum", "max", "min", "count" (of neighbours) or "any" (1 where a neighbour's
-        weighted value is not 0, which stops at the first); 0 without neighbours
+        weighted value is not 0, which stops at the first); 0 without neighbours. Or any function
+        of the neighbours' values (n,) and weights (n,), n > 0, in the kernel's order: called from
+        Python for every voxel, so slowly
     index : of the voxels that are the neighbours; `coords` themselves without it
 
     Returns
@@ -147,13 +150,33 @@ def convolve(
     KernelError
         The function is unknown.
     """
-    if function not in _FUNCTIONS:
+    if not callable(function) and function not in _FUNCTIONS:
         raise KernelError(f"function: expected one of {', '.join(_FUNCTIONS)}, got {function!r}")
     index = VoxelIndex(coords) if index is None else index
     values = np.ones(len(index)) if values is None else np.asarray(values, dtype=np.float64)
+    if callable(function):
+        return _convolve_freely(coords, values, kernel, function, index)
     return _convolve(
         index.table, coords, values, kernel.offsets(), kernel.weights, _FUNCTIONS[function]
     )
+
+
+def _convolve_freely(
+    coords: NDArray[np.int32],
+    values: NDArray[np.float64],
+    kernel: Kernel,
+    function: Callable[[NDArray[np.float64], NDArray[np.float64]], float],
+    index: VoxelIndex,
+) -> NDArray[np.float64]:
+    """Return what any function makes of each voxel's neighbours (eq. 16): (N,) float64."""
+    result = np.zeros(len(coords))
+    offsets = kernel.offsets()
+    for i, cell in enumerate(np.asarray(coords)):
+        rows = index.rows(cell + offsets)
+        there = rows >= 0
+        if there.any():
+            result[i] = function(values[rows[there]], kernel.weights[there])
+    return result
 
 
 @njit(cache=True, nogil=True)
