@@ -19,7 +19,7 @@ from topometric_ros.matching.search_fields import (
     prepare,
     storey_pairs,
 )
-from topometric_ros.matching.search_poses import pose_of
+from topometric_ros.matching.search_poses import compare, pose_of
 from topometric_ros.matching.search_sweep import sweep
 
 CONFIG = SearchConfig()
@@ -67,6 +67,15 @@ def test_the_yaws_that_are_swept_bring_main_direction_onto_main_direction(flat):
     assert turn == pytest.approx(1.5, abs=0.1)
     best = sweep(fields_a, fields_b, CONFIG.sweep)[0]
     assert np.degrees(abs(pose_of(T_b_a @ best.matrix()).yaw)) < 0.1
+
+
+def test_samples_of_cells_stay_within_them(flat):
+    fields = prepare(map_of(flat), SCORING)
+    # 140,032 steps of 140,032 / 3000 end past the last cell.
+    cells = np.zeros((140_032, 2))
+    large = dataclasses.replace(fields.storeys[0], free=cells)
+    taken = compare(fields, MapFields((large,)), 0.0, 3000).free[0]
+    assert len(taken) == 3000
 
 
 def test_a_map_without_walls_has_a_main_direction_too():

@@ -93,7 +93,8 @@ def _every(cells: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     """Return every `step`-th cell: a plain stride would beat with the raster's rows."""
     if step <= 1.0:
         return cells
-    return cells[np.floor(np.arange(0, len(cells), step)).astype(np.int64)]
+    rows = np.floor(np.arange(0, len(cells), step)).astype(np.int64)
+    return cells[rows[rows < len(cells)]]  # A step that is no binary fraction may reach the end.
 
 
 def score_around(
