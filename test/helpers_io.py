@@ -38,7 +38,7 @@ def random_map(seed: int = 0, agent: str = "robot1", voxels: int = 500) -> Topom
         voxel_size=0.1,
         origin=(0.05, -0.15, 1 / 3),
         voxels=coords,
-        offsets=rng.integers(-8, 8, (n, 3)).astype(np.int8),
+        offsets=rng.integers(-2, 2, (n, 3)).astype(np.int8),
         room=room,
         navigable=in_morton_order(rng.integers(-40, 40, (50, 3))),
         viewpoints=rng.normal(size=(6, 3)).astype(np.float32),

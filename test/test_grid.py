@@ -45,13 +45,13 @@ def test_moving_by_whole_voxels_moves_the_coordinates():
     assert shifted == {tuple(c) for c in b.coords}
 
 
-def test_a_wall_inside_a_voxel_is_kept_to_a_sixteenth_of_its_edge():
+def test_a_wall_inside_a_voxel_is_kept_to_a_quarter_of_its_edge():
     points = cloud()
     points[:, 0] = 1.033
     grid, cell = voxelise(points, 0.1, np.zeros(3))
     offsets = surface_offsets(points, grid, cell)
-    x = (grid.coords[:, 0] + (offsets[:, 0] + 0.5) / 16) * 0.1
-    assert np.abs(x - 1.033).max() <= 0.1 / 32 + 1e-9
+    x = (grid.coords[:, 0] + (offsets[:, 0] + 0.5) / 4) * 0.1
+    assert np.abs(x - 1.033).max() <= 0.1 / 8 + 1e-9
 
 
 def test_thinning_keeps_one_mean_a_cell():

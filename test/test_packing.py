@@ -40,7 +40,7 @@ def test_any_set_of_voxels_round_trips(coords: np.ndarray) -> None:
     assert packed == pack_coords(ordered)
 
 
-@given(hnp.arrays(np.int8, st.tuples(st.integers(0, 9), st.just(3)), elements=st.integers(-8, 7)))
+@given(hnp.arrays(np.int8, st.tuples(st.integers(0, 9), st.just(3)), elements=st.integers(-2, 1)))
 @settings(max_examples=40, deadline=None)
 def test_offsets_round_trip(offsets: np.ndarray) -> None:
     np.testing.assert_array_equal(unpack_offsets(pack_offsets(offsets), len(offsets)), offsets)
@@ -65,6 +65,13 @@ def test_a_room_s_surface_takes_under_three_bits_a_voxel() -> None:
     shell = (x % 79 == 0) | (y % 59 == 0) | (z % 25 == 0)
     coords = in_morton_order(np.stack([x[shell], y[shell], z[shell]], 1))
     assert len(pack_coords(coords)) * 8 < 3 * len(coords)
+
+
+def test_offsets_that_no_byte_stands_for_are_refused() -> None:
+    with pytest.raises(PackingError, match=r"expected -2\.\.1, got 0\.\.2"):
+        pack_offsets(np.array([[0, 0, 2]], np.int8))
+    with pytest.raises(PackingError, match="expected bytes under 64, got 64"):
+        unpack_offsets(zstandard.ZstdCompressor().compress(b"\x40"), 1)
 
 
 def test_voxels_out_of_order_are_not_packed() -> None:

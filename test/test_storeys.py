@@ -15,15 +15,14 @@ from topometric_ros.extraction.storeys import (
     assign_storeys,
     find_storeys,
 )
-from topometric_ros.voxels.grid import surface_offsets, voxelise
+from topometric_ros.voxels.grid import voxelise
 
 
 def _storeys(
     points: NDArray[np.float64], origin_z: float = 0.0
 ) -> tuple[tuple[StoreyHeights, ...], NDArray[np.int32], NDArray[np.float64]]:
     grid, cell_of_point = voxelise(points, RASTER, np.array([0.0, 0.0, origin_z]))
-    offsets = surface_offsets(points, grid, cell_of_point)
-    heights = grid.centres()[:, 2] + (offsets[:, 2] + 0.5) / 16 * RASTER
+    heights = np.bincount(cell_of_point, weights=points[:, 2]) / np.bincount(cell_of_point)
     columns = sort_columns(grid.coords)
     storeys = find_storeys(columns, heights, origin_z, StoreyConfig())
     return storeys, assign_storeys(columns, heights, storeys), heights

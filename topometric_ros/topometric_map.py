@@ -18,8 +18,9 @@ SCHEMA = "topometric-map/1"
 NO_ROOM = -1
 PASSAGE_KINDS = ("unknown", "door", "opening", "stairs", "ramp")
 ROOM_KINDS = ("unknown", "room", "corridor", "hall", "stairwell")
-OFFSET_STEPS = 16
-"""A voxel's surface offset is kept in sixteenths of the voxel edge."""
+OFFSET_STEPS = 4
+"""A voxel's surface offset is kept in quarters of the voxel edge: finer ones cost most of a message
+and move no merge by more than some millimetres (docs/benchmarks.md)."""
 
 
 class MapError(TopometricError):
@@ -142,7 +143,7 @@ class TopometricMap:
 
     `voxels` is (N, 3) int32 in strictly increasing Morton order, `room` (N,) int32 the room id of
     each (`NO_ROOM`: none) and `offsets` (N, 3) int8 the mean of the points seen in the voxel, in
-    sixteenths of its edge from the lower corner of the middle (-8..7). `navigable` is (M, 3) int32
+    quarters of its edge from the lower corner of the middle (-2..1). `navigable` is (M, 3) int32
     in Morton order, `viewpoints` (K, 3) float32.
     """
 
@@ -250,7 +251,7 @@ def _check_map(m: TopometricMap) -> None:
     if not (rigid and np.array_equal(m.T_level_input[3], (0, 0, 0, 1))):
         raise MapError(f"T_level_input: expected a rigid motion, got {m.T_level_input.tolist()}")
     if n and (m.offsets.min() < -OFFSET_STEPS // 2 or m.offsets.max() >= OFFSET_STEPS // 2):
-        raise MapError(f"offsets: expected -8..7, got {m.offsets.min()}..{m.offsets.max()}")
+        raise MapError(f"offsets: expected -2..1, got {m.offsets.min()}..{m.offsets.max()}")
     _check_storeys(m.storeys)
     _check_graph(m)
 

@@ -1,4 +1,4 @@
-"""Packing arrays for files and messages: Morton deltas, nibbles and bits under zstandard.
+"""Packing arrays for files and messages: Morton deltas, digits and bits under zstandard.
 
 Every packed array is one zstandard frame that states its content size and carries a checksum. An
 array comes back only for the size that its reader expects: the declared sizes are compared, and
@@ -21,6 +21,7 @@ MAXIMUM_ITEMS = 1 << 26
 _LEVEL = 15
 _VARINT_BYTES = 9
 """A Morton code has 63 bits, seven to a byte."""
+_OFFSET_DIGITS = np.array([1, OFFSET_STEPS, OFFSET_STEPS**2], np.uint8)
 _MAXIMUM_WINDOW = 1 << 27
 
 
@@ -67,23 +68,21 @@ def unpack_coords(data: bytes, count: int, what: str = "voxels") -> NDArray[np.i
 
 
 def pack_offsets(offsets: NDArray[np.int8]) -> bytes:
-    """Pack surface offsets (N, 3) int8, -8..7, as nibbles: two to a byte, the first one low."""
-    if offsets.size and not -OFFSET_STEPS // 2 <= offsets.min() <= offsets.max() < OFFSET_STEPS / 2:
-        raise PackingError(f"offsets: expected -8..7, got {offsets.min()}..{offsets.max()}")
-    nibbles = (offsets.reshape(-1) + OFFSET_STEPS // 2).astype(np.uint8)
-    nibbles = np.pad(nibbles, (0, len(nibbles) % 2))
-    return _compress((nibbles[0::2] | nibbles[1::2] << 4).tobytes())
+    """Pack surface offsets (N, 3) int8, -2..1, as a byte a voxel: digits to the base 4, x lowest."""
+    half = OFFSET_STEPS // 2
+    if offsets.size and not -half <= offsets.min() <= offsets.max() < half:
+        raise PackingError(f"offsets: expected -2..1, got {offsets.min()}..{offsets.max()}")
+    return _compress(((offsets + half).astype(np.uint8) @ _OFFSET_DIGITS).tobytes())
 
 
 def unpack_offsets(data: bytes, count: int, what: str = "offsets") -> NDArray[np.int8]:
     """Undo :func:`pack_offsets`: (count, 3) int8; raises PackingError as the others do."""
     _check_count(count, what)
-    size = (3 * count + 1) // 2
-    packed = np.frombuffer(_decompress(data, size, size, what), np.uint8)
-    nibbles = np.empty(2 * size, np.int8)
-    nibbles[0::2] = packed & 15
-    nibbles[1::2] = packed >> 4
-    return (nibbles[: 3 * count] - OFFSET_STEPS // 2).reshape(count, 3)
+    packed = np.frombuffer(_decompress(data, count, count, what), np.uint8)
+    if packed.max(initial=0) >= OFFSET_STEPS**3:
+        raise PackingError(f"{what}: expected bytes under {OFFSET_STEPS**3}, got {packed.max()}")
+    digits = packed[:, None] // _OFFSET_DIGITS % OFFSET_STEPS
+    return digits.astype(np.int8) - np.int8(OFFSET_STEPS // 2)
 
 
 def pack_bits(mask: NDArray[np.bool_]) -> bytes:

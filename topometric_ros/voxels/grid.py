@@ -101,9 +101,9 @@ def bounds(points):  # type: ignore[no-untyped-def]
 def surface_offsets(
     points: NDArray[np.float64], grid: VoxelGrid, cell_of_point: NDArray[np.int64]
 ) -> NDArray[np.int8]:
-    """Return where in its cell the mean of each cell's points lies: (N, 3) int8, -8..7.
+    """Return where in its cell the mean of each cell's points lies: (N, 3) int8, -2..1.
 
-    The unit is a sixteenth of the voxel's edge, from the cell's centre, rounded down.
+    The unit is a quarter of the voxel's edge, from the cell's centre, rounded down.
     """
     total = _sums(points, cell_of_point, len(grid))
     mean = total[:, :3] / total[:, 3:]
