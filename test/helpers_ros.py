@@ -5,6 +5,7 @@ Import this only where rclpy is known to be there; :func:`missing` says whether 
 
 from __future__ import annotations
 
+import array
 import contextlib
 import importlib
 import importlib.util
@@ -17,6 +18,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -224,6 +227,22 @@ def service(name: str) -> Any:
     import topometric_msgs.srv
 
     return getattr(topometric_msgs.srv, name)
+
+
+def cloud_message(points: np.ndarray, frame_id: str, point_step: int = 12) -> Any:
+    """Return points (N, 3), m, as a PointCloud2 of rclpy's classes."""
+    from sensor_msgs.msg import PointCloud2, PointField
+
+    message = PointCloud2(height=1, width=len(points), point_step=point_step)
+    message.header.frame_id = frame_id
+    message.header.stamp.sec = 1_700_000_000
+    message.fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+        for i, name in enumerate("xyz")
+    ]
+    message.row_step = 12 * len(points)
+    message.data = array.array("B", points.astype("<f4").tobytes())
+    return message
 
 
 def set_parameters(own: Graph, node: str, values: dict[str, float]) -> list[str]:

@@ -8,7 +8,7 @@ import pytest
 from test.helpers import box_room
 from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.extent import anchor, without_strays
-from topometric_ros.runtime.accumulator import PointAccumulator
+from topometric_ros.voxels.scan_grid import ScanConfig, ScanGrid
 
 _ROOM = box_room((0, 0, 0), (5, 4, 2.6), step=0.1)
 
@@ -45,7 +45,7 @@ def test_far_clouds_are_anchored_at_whole_kilometres() -> None:
 
 def test_scans_in_a_far_off_frame_are_gathered() -> None:
     away = np.array([500_000.0, 5_000_000.0, 0.0])
-    near, far = PointAccumulator(0.05), PointAccumulator(0.05)
+    near, far = (ScanGrid(0.05, anchor(p), ScanConfig()) for p in (_ROOM, _ROOM + away))
     near.add(_ROOM)
     far.add(_ROOM + away)
     np.testing.assert_allclose(far.points() - away, near.points(), atol=1e-6)

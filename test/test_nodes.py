@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import json
 import signal
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 
 from test import helpers_ros
 from test.helpers import box_room
-from test.helpers_ros import Graph, service, set_parameters, wait_for
+from test.helpers_ros import Graph, cloud_message, service, set_parameters, wait_for
 
 pytestmark = [
     pytest.mark.dds,
@@ -32,21 +31,6 @@ def flat() -> np.ndarray:
     a = box_room((0.0, 0.0, 0.0), (4.0, 5.0, 2.6), doors=(("x+", 2.0),))
     b = box_room((4.1, 0.0, 0.0), (5.0, 5.0, 2.6), doors=(("x-", 2.0),))
     return np.concatenate([a, b])
-
-
-def cloud_message(points: np.ndarray, frame_id: str, point_step: int = 12) -> Any:
-    from sensor_msgs.msg import PointCloud2, PointField
-
-    message = PointCloud2(height=1, width=len(points), point_step=point_step)
-    message.header.frame_id = frame_id
-    message.header.stamp.sec = 1_700_000_000
-    message.fields = [
-        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
-        for i, name in enumerate("xyz")
-    ]
-    message.row_step = 12 * len(points)
-    message.data = array.array("B", points.astype("<f4").tobytes())
-    return message
 
 
 def difference(T_found: np.ndarray, T_true: np.ndarray) -> tuple[float, float]:

@@ -11,24 +11,11 @@ from test.helpers import box_room, moved, yaw_transform
 from test.helpers_bags import START, cloud, flat, transforms
 from test.helpers_sessions import flat_map, session
 from topometric_ros.io.pointcloud2 import CloudError
-from topometric_ros.runtime.accumulator import PointAccumulator
 from topometric_ros.runtime.agent_input import AgentInput, InputError
-from topometric_ros.runtime.extractor_session import SessionError
+from topometric_ros.runtime.extractor_session import ExtractorSession, SessionError
 from topometric_ros.runtime.room_ids import keep_room_ids, renumbered
-from topometric_ros.voxels.grid import thin
 
 SECOND = 1_000_000_000
-
-
-def test_scans_gathered_in_any_batches_give_the_same_means() -> None:
-    points = np.random.default_rng(0).normal(size=(3000, 3))
-    whole, parts = PointAccumulator(0.3), PointAccumulator(0.3)
-    whole.add(points)
-    for part in np.array_split(points, 7):
-        parts.add(part)
-        parts.points()
-    np.testing.assert_allclose(whole.points(), parts.points(), atol=1e-12)
-    np.testing.assert_allclose(whole.points(), thin(points, 0.3), atol=1e-12)
 
 
 def test_a_growing_map_keeps_its_lattice_and_the_ids_of_its_rooms() -> None:
@@ -168,6 +155,61 @@ def test_a_scan_whose_transform_never_comes_is_skipped_and_counted() -> None:
     one.finish()
     assert one.skipped_count == 3
     assert "no frame lidar on /tf" in one.skipped[-1]
+
+
+def test_a_scan_that_waits_too_long_names_the_frame_that_is_missing() -> None:
+    one = AgentInput(session(), "scan", map_frame="map")
+    one.add_transforms(transforms(("odom", "base", np.eye(4)), stamp=START), True)
+    one.add_cloud(cloud(flat()[:10], "base", START))
+    assert (one.waiting, one.waits_for) == (1, "no frame map on /tf; known: base, odom")
+    one.expire(100.0, 5.0)
+    one.expire(104.0, 5.0)
+    assert (one.waiting, one.skipped_count) == (1, 0)
+    one.expire(105.5, 5.0)
+    assert (one.waiting, one.waits_for) == (0, "")
+    assert one.skipped == ["a scan waited 5 s: no frame map on /tf; known: base, odom"]
+    assert one.session.counts.scans == 0
+
+
+def ghost_session(frame: str, sensor_frame: str = "") -> ExtractorSession:
+    """Return a session of one scan of two walls in a row, then of some without the nearer one."""
+    one = session()
+    clouds = AgentInput(one, "scan", map_frame="map", sensor_frame=sensor_frame)
+    T = yaw_transform(0.0, (0.0, 0.0, 1.0))
+    clouds.add_transforms(transforms(("map", "lidar", T), stamp=START), True)
+    y, z = (axis.ravel() for axis in np.meshgrid(np.linspace(-1, 1, 80), np.linspace(-0.9, 1, 80)))
+    far = np.stack([np.full(len(y), 6.0), 2 * y, 2 * z], axis=1)
+    near = far[np.abs(y) < 0.5] / 2
+    T_cloud = T if frame == "map" else np.eye(4)
+    for k, points in enumerate([near, far, far, far, far]):
+        clouds.add_cloud(cloud(moved(points, T_cloud), frame, START + k))
+    return one
+
+
+def test_what_scans_look_through_is_dropped_where_the_sensor_is_known() -> None:
+    assert near_points(ghost_session("lidar")) == 0
+    assert near_points(ghost_session("map", "lidar")) == 0
+    assert near_points(ghost_session("map")) > 200, "whoever placed the cloud keeps the sensor's"
+
+
+def near_points(one: ExtractorSession) -> int:
+    points = one._points()
+    assert np.count_nonzero(points[:, 0] > 5) > 2000
+    return int(np.count_nonzero(points[:, 0] < 4))
+
+
+def test_only_what_came_or_went_is_a_change() -> None:
+    one = session()
+    assert one.change() == 1.0
+    one.add_map_cloud(flat(), "map", 0)
+    one.extract()
+    assert one.change() == 0.0
+    one.add_map_cloud(flat()[::-1].copy(), "map", 1)
+    assert one.change() == 0.0
+    one.add_map_cloud(flat()[flat()[:, 0] < 10], "map", 2)
+    assert 0.15 < one.change() < 0.5
+    one.add_scan(flat() + (0, 0, 20), "map", 3, np.eye(4))
+    assert one.change() == 1.0
 
 
 def test_clouds_taken_for_maps_before_tf_spoke_are_forgotten() -> None:

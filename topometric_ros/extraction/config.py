@@ -14,6 +14,7 @@ from topometric_ros.extraction.passages import PassageConfig
 from topometric_ros.extraction.storeys import StoreyConfig
 from topometric_ros.extraction.thesis_rooms import ThesisRoomsConfig
 from topometric_ros.extraction.viewpoints import ViewpointConfig
+from topometric_ros.voxels.scan_grid import ScanConfig
 
 PRESETS = ("default", "thesis")
 
@@ -30,6 +31,7 @@ class ExtractionConfig:
         "How rooms are found: floors cut at narrowings, or clusters of visibilities (the thesis).",
         choices=("narrowings", "visibility"),
     )
+    scans: ScanConfig = field(default_factory=ScanConfig)
     level: LevelConfig = field(default_factory=LevelConfig)
     storeys: StoreyConfig = field(default_factory=StoreyConfig)
     layers: LayersConfig = field(default_factory=LayersConfig)

@@ -68,7 +68,7 @@ def unpack_coords(data: bytes, count: int, what: str = "voxels") -> NDArray[np.i
 
 
 def pack_offsets(offsets: NDArray[np.int8]) -> bytes:
-    """Pack surface offsets (N, 3) int8, -2..1, as a byte a voxel: digits to the base 4, x lowest."""
+    """Pack surface offsets (N, 3) int8, -2..1, as a byte a voxel: digits to the base 4, x first."""
     half = OFFSET_STEPS // 2
     if offsets.size and not -half <= offsets.min() <= offsets.max() < half:
         raise PackingError(f"offsets: expected -2..1, got {offsets.min()}..{offsets.max()}")

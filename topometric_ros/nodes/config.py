@@ -51,11 +51,29 @@ class ExtractorNodeConfig:
     max_rate: float = parameter(
         0.5, "Extractions a second at most.", unit="Hz", minimum=0.001, maximum=100.0
     )
+    min_change: float = parameter(
+        0.002,
+        "A map is extracted again only when this share of its voxels came or went since the last.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     scan_queue: int = parameter(
         200,
         "Scans that may wait, for a running extraction or for /tf; then the oldest are dropped.",
         minimum=1,
         maximum=100_000,
+    )
+    tf_timeout: float = parameter(
+        5.0,
+        "How long a scan waits for its transform; then it is skipped and the missing frame named.",
+        unit="s",
+        minimum=0.1,
+        maximum=100_000.0,
+    )
+    sensor_frame: str = parameter(
+        "",
+        "Frame of the sensor, from which scans clear what they look through; empty: the clouds' "
+        "own frame, and clouds in the map's frame clear nothing.",
     )
     tf_history: float = parameter(
         120.0, "How far back transforms are kept.", unit="s", minimum=1.0, maximum=100_000.0

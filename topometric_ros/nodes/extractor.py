@@ -41,8 +41,8 @@ _REPORT_S = 1.0
 _SETTLE_S = 1.0
 _END_S = 3.0
 
-_CHANGEABLE_OF_NODE = ("max_rate",)
-_FIXED_OF_EXTRACTION = ("voxel_size", "level.")
+_CHANGEABLE_OF_NODE = ("max_rate", "min_change", "tf_timeout")
+_FIXED_OF_EXTRACTION = ("voxel_size", "level.", "scans.")
 """What the first map of a session settles for the later ones."""
 
 
@@ -69,6 +69,7 @@ class Extractor(TopometricNode):
             map_frame=self._own.map_frame,
             history=round(self._own.tf_history * 1e9),
             waiting=self._own.scan_queue,
+            sensor_frame=self._own.sensor_frame,
         )
         self._classes = message_classes()
         self.report = ExtractorReport()
@@ -125,7 +126,7 @@ class Extractor(TopometricNode):
         self._transforms.put((tf.without_parent(message, self._own.global_frame), static))
 
     def _tick(self) -> None:
-        if len(self.clouds) or len(self._transforms) or self._is_fresh():
+        if len(self.clouds) or len(self._transforms) or self.input.waiting or self._is_fresh():
             self._worker.wake()
 
     def _state(self) -> tuple[str, int, int]:
@@ -141,12 +142,30 @@ class Extractor(TopometricNode):
         with self.working:
             self.take_in()
             due = time.monotonic() - self._last_extraction >= 1.0 / self._own.max_rate
-            if self._is_fresh() and due:
+            if self._is_fresh() and due and self._is_changed():
                 self.extract()
 
+    def _is_changed(self) -> bool:
+        """Whether enough came or went for another map; if not, wait for more input."""
+        session = self.input.session
+        if session.extraction is not self._wanted or session.change() >= self._own.min_change:
+            return True
+        self._extracted, self._last_extraction = self._state(), time.monotonic()
+        self.report.unchanged += 1
+        return False
+
     def take_in(self, at_once: bool = False) -> None:
+        """Take the transforms and clouds that have arrived; say once why scans found no place."""
+        before = self.input.skipped_count
+        self._take_messages(at_once)
+        skipped = self.input.skipped_count - before
+        if skipped and self.report.miss(self.input.skipped[-1]):
+            self.get_logger().warning(f"{skipped} skipped: {self.input.skipped[-1]}")
+
+    def _take_messages(self, at_once: bool) -> None:
         for transforms, static in self._transforms.take_all():
             self.input.add_transforms(transforms, static)
+        self.input.expire(time.monotonic(), self._own.tf_timeout)
         if self._first_cloud is None:
             return
         # A scan that arrives before the first /tf would be taken for a map of one scan.
@@ -201,11 +220,15 @@ class Extractor(TopometricNode):
             "publishers": self._cloud.publishers,
             "quality of service": self._cloud.profile,
             "superseded": self.clouds.dropped,
+            "waiting for transforms": self.input.waiting,
             "without transform": self.input.skipped_count,
+            "too little changed": self.report.unchanged,
             "map clouds": session.counts.map_clouds,
             "scans": session.counts.scans,
             "non-finite points dropped": session.counts.dropped_points,
         }
+        if self.input.waits_for:
+            numbers["waits for"] = self.input.waits_for
         if self.input.skipped:
             numbers["last without transform"] = self.input.skipped[-1]
         statuses = self.report.statuses(self.get_fully_qualified_name(), numbers)

@@ -12,11 +12,14 @@ from topometric_ros.topometric_map import TopometricMap
 
 @dataclass
 class ExtractorReport:
-    """What happened since the start; `refusal` is why the last cloud was refused, if it was."""
+    """What happened since the start; `refusal` is why the last cloud was refused, if it was,
+    `missing` why scans were last given up."""
 
     received: int = 0
     refused: int = 0
     refusal: str = ""
+    missing: str = ""
+    unchanged: int = 0
     failure: str = ""
     published: TopometricMap | None = None
     quality: Quality | None = None
@@ -27,6 +30,16 @@ class ExtractorReport:
         is_new = reason != self.refusal
         self.refused += 1
         self.refusal = reason
+        return is_new
+
+    def miss(self, reason: str) -> bool:
+        """Note why scans found no place in the map; return whether the reason is a new one.
+
+        Times differ from scan to scan, so reasons are told apart by what comes before them.
+        """
+        told = reason.partition(" at ")[0]
+        is_new = told != self.missing
+        self.missing = told
         return is_new
 
     def extracted(self, topometric_map: TopometricMap, quality: Quality, cpu_s: float) -> None:
@@ -48,6 +61,11 @@ class ExtractorReport:
         elif not self.received:
             level = Level.WARN
             message = "no cloud yet" if numbers["publishers"] else "nobody publishes the topic"
+        elif numbers.get("waits for"):
+            level = Level.WARN
+            message = f"{numbers['waiting for transforms']} scans wait: {numbers['waits for']}"
+        elif self.missing and not numbers["scans"]:
+            level, message = Level.WARN, f"no scan could be placed: {self.missing}"
         values = {"received": self.received, "refused": self.refused, **numbers}
         return Status(f"{node}: input", level, message, values)
 

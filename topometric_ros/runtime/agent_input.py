@@ -32,12 +32,14 @@ class InputError(TopometricError):
     """An input mode that does not exist."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Scan:
     points: NDArray[np.float64]
     frame_id: str
     stamp: int
     dropped: int
+    since: float | None = None
+    """When it was first seen waiting, s."""
 
 
 class AgentInput:
@@ -50,6 +52,8 @@ class AgentInput:
     map_frame : frame of the map; empty: see :meth:`TransformBuffer.map_frame`
     history : how far back (ns) transforms are kept, None: for ever
     waiting : scans that may wait for their transforms; the oldest are skipped and counted
+    sensor_frame : frame of the sensor where it is not that of the clouds, as of clouds that an
+        odometry has placed already
     """
 
     def __init__(
@@ -59,6 +63,7 @@ class AgentInput:
         map_frame: str = "",
         history: int | None = None,
         waiting: int = 200,
+        sensor_frame: str = "",
     ) -> None:
         if mode not in MODES:
             raise InputError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
@@ -69,8 +74,10 @@ class AgentInput:
         """Why clouds were skipped, one sentence each, the newest last (at most 100 are kept)."""
         self.skipped_count = 0
         self._map_frame = map_frame.lstrip("/")
+        self._sensor_frame = sensor_frame.lstrip("/")
         self._waiting: deque[_Scan] = deque()
         self._most_waiting = waiting
+        self._waits_for = ""
         self._taken_as_map = ""
 
     def reset(self) -> None:
@@ -121,8 +128,36 @@ class AgentInput:
         self._waiting.append(_Scan(points, frame_id, stamp, dropped))
         self._place_waiting()
         while len(self._waiting) > self._most_waiting:
-            scan = self._waiting.popleft()
-            self._skip(f"a scan in {scan.frame_id} waited too long for its transform")
+            self._waiting.popleft()
+            self._skip(f"more than {self._most_waiting} scans wait: {self._waits_for}")
+
+    @property
+    def waiting(self) -> int:
+        """How many scans wait for transforms."""
+        return len(self._waiting)
+
+    @property
+    def waits_for(self) -> str:
+        """What the oldest waiting scan lacks, a sentence that names the frame; or empty."""
+        return self._waits_for if self._waiting else ""
+
+    def expire(self, now: float, longest: float) -> None:
+        """Skip the scans that have waited for their transforms too long.
+
+        Parameters
+        ----------
+        now : s, of a clock that only runs forward
+        longest : s that a scan may wait from the first call that sees it
+        """
+        for scan in self._waiting:
+            scan.since = now if scan.since is None else scan.since
+        while self._waiting:
+            since = self._waiting[0].since
+            if since is None or now - since <= longest:
+                return
+            self._waiting.popleft()
+            self._skip(f"a scan waited {longest:g} s: {self._waits_for}")
+            self._place_waiting()
 
     def finish(self) -> None:
         """Skip what still waits: nothing more will arrive."""
@@ -145,8 +180,10 @@ class AgentInput:
         """Put a scan into the session, or skip it; False where it should wait."""
         try:
             target = self._map_frame_of(scan.frame_id)
-            T_map_sensor = self.transforms.lookup(target, scan.frame_id, scan.stamp)
+            T_map_cloud = self.transforms.lookup(target, scan.frame_id, scan.stamp)
+            sensor = self._sensor(target, scan, T_map_cloud)
         except TransformNotYetError as error:
+            self._waits_for = str(error)
             if not last:
                 return False
             self._skip(str(error))
@@ -154,8 +191,17 @@ class AgentInput:
         except TransformError as error:
             self._skip(str(error))
             return True
-        self.session.add_scan(scan.points, target, scan.stamp, T_map_sensor, scan.dropped)
+        self.session.add_scan(scan.points, target, scan.stamp, T_map_cloud, scan.dropped, sensor)
         return True
+
+    def _sensor(
+        self, target: str, scan: _Scan, T_map_cloud: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return where the sensor was, (3,) m, map frame; None where the frames do not tell."""
+        if self._sensor_frame:
+            return self.transforms.lookup(target, self._sensor_frame, scan.stamp)[:3, 3]
+        # A cloud in the map's own frame was placed by somebody else.
+        return None if scan.frame_id == target else T_map_cloud[:3, 3]
 
     def _map_frame_of(self, frame_id: str) -> str:
         """Return the frame that scans of `frame_id` are gathered in."""

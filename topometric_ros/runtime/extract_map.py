@@ -13,7 +13,7 @@ from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.pipeline import Extraction, extract
 from topometric_ros.extraction.quality import Finding
 from topometric_ros.matching.config import MatchingConfig
-from topometric_ros.matching.descriptors import describe
+from topometric_ros.runtime.descriptions import describe_changed
 from topometric_ros.topometric_map import TopometricMap
 
 
@@ -24,6 +24,7 @@ def extract_map(
     *,
     T_up_input: NDArray[np.float64] | None = None,
     warnings: tuple[str, ...] = (),
+    previous: TopometricMap | None = None,
     **identity: Any,
 ) -> Extraction:
     """Extract a map and describe its rooms.
@@ -34,6 +35,7 @@ def extract_map(
     extraction, matching : configurations of the two stages
     T_up_input : (4, 4), identity by default; becomes a part of the map's `T_level_input`
     warnings : put before those of the extraction
+    previous : an earlier map of the session, whose descriptors serve for rooms that are the same
     identity : agent, session, sequence, frame_id, stamp, origin and T_level_input of `extract`
 
     Raises
@@ -43,7 +45,7 @@ def extract_map(
     """
     result = extract(points, extraction, **identity)
     start = time.thread_time()
-    described = in_input_frame(describe(result.map, matching), T_up_input)
+    described = in_input_frame(describe_changed(result.map, previous, matching), T_up_input)
     described = dataclasses.replace(described, warnings=(*warnings, *described.warnings))
     told = tuple(Finding("input", "warning", warning) for warning in warnings)
     quality = dataclasses.replace(result.quality, findings=(*told, *result.quality.findings))

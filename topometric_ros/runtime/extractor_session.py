@@ -17,19 +17,25 @@ from numpy.typing import NDArray
 from topometric_ros.errors import TopometricError
 from topometric_ros.extraction.assess import parts
 from topometric_ros.extraction.config import ExtractionConfig
+from topometric_ros.extraction.extent import anchor
 from topometric_ros.extraction.pipeline import Extraction
 from topometric_ros.io.trajectories import AgentTrajectory
 from topometric_ros.matching.config import MatchingConfig
-from topometric_ros.runtime.accumulator import PointAccumulator
 from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.runtime.room_ids import keep_room_ids
 from topometric_ros.runtime.track import Track
 from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.voxels.grid import lattice_coordinates
+from topometric_ros.voxels.scan_grid import ScanGrid
 
 logger = logging.getLogger(__name__)
 
 _FINEST_CELL = 0.05
 """Scans are gathered in cells of at most this edge (m), which the storeys' rasters need."""
+
+
+_LOW_BITS = np.int64((1 << 21) - 1)
+"""Voxels are told apart by so much of each coordinate: 200 km of 0.1 m."""
 
 
 class SessionError(TopometricError):
@@ -43,7 +49,7 @@ class InputCounts:
     map_clouds: int = 0
     scans: int = 0
     dropped_points: int = 0
-    """Points that were not finite."""
+    """Points that were not finite, or lie too far from the map."""
 
 
 class ExtractorSession:
@@ -82,8 +88,10 @@ class ExtractorSession:
         self.map: TopometricMap | None = None
         """The newest map, None before the first."""
         self._cloud: NDArray[np.float64] | None = None
-        cell = min(self.extraction.voxel_size / 2, _FINEST_CELL)
-        self._scans: PointAccumulator = PointAccumulator(cell)
+        self._extracted: NDArray[np.float64] | None = None
+        self._cells = np.empty(0, np.int64)
+        self._scans: ScanGrid | None = None
+        self._failed = False
         self._track = Track()
         self._T_level_up: NDArray[np.float64] | None = None
         self._next_room = 0
@@ -91,7 +99,7 @@ class ExtractorSession:
     @property
     def has_input(self) -> bool:
         """True where there is something to extract a map from."""
-        return self._cloud is not None or self.counts.scans > 0
+        return self._cloud is not None or self._scans is not None
 
     @property
     def trajectory(self) -> AgentTrajectory | None:
@@ -123,28 +131,60 @@ class ExtractorSession:
         points: NDArray[np.float64],
         frame_id: str,
         stamp: int,
-        T_map_sensor: NDArray[np.float64],
+        T_map_cloud: NDArray[np.float64],
         dropped: int = 0,
+        sensor: NDArray[np.float64] | None = None,
     ) -> None:
         """Take one scan and add it to the map.
 
         Parameters
         ----------
-        points : (N, 3) float64, m, sensor frame, finite
+        points : (N, 3) float64, m, in the cloud's own frame, finite
         frame_id : the map's frame
         stamp : ns since the epoch
-        T_map_sensor : (4, 4), where the sensor was in the map's frame
+        T_map_cloud : (4, 4), where that frame was in the map's
         dropped : as of :meth:`add_map_cloud`
+        sensor : (3,) float64, m, map frame, where the sensor was; None where that is not known:
+            then the scan clears nothing
         """
         self._begin(frame_id)
         self.counts.scans += 1
         self.counts.dropped_points += dropped
-        self._scans.add(points @ T_map_sensor[:3, :3].T + T_map_sensor[:3, 3])
-        self._track.add(stamp, T_map_sensor[:3, 3])
+        placed = points @ T_map_cloud[:3, :3].T + T_map_cloud[:3, 3]
+        if self._scans is None:
+            if len(placed) == 0:
+                return
+            cell = min(self.extraction.voxel_size / 2, _FINEST_CELL)
+            self._scans = ScanGrid(cell, anchor(placed), self.extraction.scans)
+        self.counts.dropped_points += self._scans.add(placed, sensor)
+        self._track.add(stamp, T_map_cloud[:3, 3] if sensor is None else sensor)
         self.stamp = max(self.stamp, stamp)
 
-    def extract(self) -> Extraction:
+    def change(self) -> float:
+        """Return how much came or went since the newest map, as a share of the voxels: 0 to 1.
+
+        It is 1 before the first map and after an extraction that failed. Of scans it is the cells
+        in which they are gathered that count, of map clouds the map's voxels.
+        """
+        if self.map is None or self._failed:
+            return 1.0
+        share = 0.0 if self._scans is None else self._scans.change()
+        if self._cloud is None or self._cloud is self._extracted:
+            return share
+        if self._extracted is None:
+            return 1.0
+        if len(self._cells) == 0:
+            self._cells = self._cells_of(self._extracted)
+        cells = self._cells_of(self._cloud)
+        different = len(np.setxor1d(cells, self._cells, assume_unique=True))
+        return max(share, min(1.0, different / max(len(cells), len(self._cells), 1)))
+
+    def extract(self, reuse: bool = True) -> Extraction:
         """Return a new version of the map from everything received.
+
+        Where `reuse`, what the newest map holds is not computed again if it must come out the same:
+        the level frame's tilt and the descriptors of rooms whose voxels are the same. The result is
+        equal either way.
 
         Raises
         ------
@@ -155,6 +195,9 @@ class ExtractorSession:
         """
         points = self._points()
         previous = self.map
+        self._failed = True
+        if self._cloud is not self._extracted:
+            self._extracted, self._cells = self._cloud, np.empty(0, np.int64)
         up = self._T_up_input
         result = extract_map(
             points if np.array_equal(up, np.eye(4)) else points @ up[:3, :3].T,
@@ -162,6 +205,7 @@ class ExtractorSession:
             self.matching,
             T_up_input=up,
             warnings=self._input_warnings(),
+            previous=previous if reuse else None,
             agent=self.agent,
             session=self.session,
             sequence=self.sequence + 1,
@@ -178,6 +222,7 @@ class ExtractorSession:
             m, self._next_room = keep_room_ids(previous, m, self._next_room)
         self.sequence += 1
         self.map = m
+        self._failed = False
         quality = dataclasses.replace(result.quality, parts=parts(m))
         return dataclasses.replace(result, map=m, quality=quality)
 
@@ -194,13 +239,18 @@ class ExtractorSession:
     def _points(self) -> NDArray[np.float64]:
         if not self.has_input:
             raise SessionError(f"{self.agent}: no cloud with finite points was received yet")
-        parts = [self._scans.points()] if self.counts.scans else []
+        parts = [self._scans.points()] if self._scans is not None else []
         if self._cloud is not None:
             parts.append(self._cloud)
         points = np.concatenate(parts)
         if len(points) == 0:
             raise SessionError(f"{self.agent}: none of the points received is finite")
         return points
+
+    def _cells_of(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return a number for each voxel that holds points, sorted."""
+        x, y, z = lattice_coordinates(points, self.extraction.voxel_size, np.zeros(3)).T & _LOW_BITS
+        return np.unique((x << 42) | (y << 21) | z)
 
     def _input_warnings(self) -> tuple[str, ...]:
         dropped = self.counts.dropped_points

@@ -98,7 +98,7 @@ def _rounded(
 
 
 @njit(cache=True, nogil=True)
-def _axis(start, end, others):  # type: ignore[no-untyped-def]
+def ray_axis(start, end, others):  # type: ignore[no-untyped-def]
     """First cell, direction, first crossing and time between crossings along one axis.
 
     Times run along the ray and are multiplied by the product of its three extents (0 counting as
@@ -117,9 +117,9 @@ def _axis(start, end, others):  # type: ignore[no-untyped-def]
 def _cells(start, end):  # type: ignore[no-untyped-def]
     extent = np.maximum(np.abs(end - start), 1)
     last = extent[0] * extent[1] * extent[2]
-    x, dx, tx, ex = _axis(start[0], end[0], extent[1] * extent[2])
-    y, dy, ty, ey = _axis(start[1], end[1], extent[2] * extent[0])
-    z, dz, tz, ez = _axis(start[2], end[2], extent[0] * extent[1])
+    x, dx, tx, ex = ray_axis(start[0], end[0], extent[1] * extent[2])
+    y, dy, ty, ey = ray_axis(start[1], end[1], extent[2] * extent[0])
+    z, dz, tz, ez = ray_axis(start[2], end[2], extent[0] * extent[1])
     cells = [(x, y, z)]
     now = min(tx, ty, tz)
     while now < last:
@@ -141,9 +141,9 @@ def _first_hit(table, start, end):  # type: ignore[no-untyped-def]
     deep = max(abs(end[1] - start[1]), 1)
     high = max(abs(end[2] - start[2]), 1)
     last = wide * deep * high
-    x, dx, tx, ex = _axis(start[0], end[0], deep * high)
-    y, dy, ty, ey = _axis(start[1], end[1], high * wide)
-    z, dz, tz, ez = _axis(start[2], end[2], wide * deep)
+    x, dx, tx, ex = ray_axis(start[0], end[0], deep * high)
+    y, dy, ty, ey = ray_axis(start[1], end[1], high * wide)
+    z, dz, tz, ez = ray_axis(start[2], end[2], wide * deep)
     now = min(tx, ty, tz)
     while now < last:
         if tx == now:
@@ -218,9 +218,9 @@ def _reaches(box, low, shape, start, end):  # type: ignore[no-untyped-def]
     deep = max(abs(end[1] - start[1]), 1)
     high = max(abs(end[2] - start[2]), 1)
     last = wide * deep * high
-    x, dx, tx, ex = _axis(start[0], end[0], deep * high)
-    y, dy, ty, ey = _axis(start[1], end[1], high * wide)
-    z, dz, tz, ez = _axis(start[2], end[2], wide * deep)
+    x, dx, tx, ex = ray_axis(start[0], end[0], deep * high)
+    y, dy, ty, ey = ray_axis(start[1], end[1], high * wide)
+    z, dz, tz, ez = ray_axis(start[2], end[2], wide * deep)
     across, along = shape[1] * shape[2], shape[2]
     place = (x - low[0]) * across + (y - low[1]) * along + z - low[2]
     target = ((end[0] >> _STEP_BITS) - low[0]) * across

@@ -1,0 +1,114 @@
+"""The extractor in scan mode over DDS: what is missing is named, what is unchanged is not sent."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from test import helpers_ros
+from test.helpers import box_room
+from test.helpers_ros import Graph, cloud_message, set_parameters, wait_for
+
+pytestmark = [
+    pytest.mark.dds,
+    pytest.mark.skipif(bool(helpers_ros.missing()), reason=helpers_ros.missing()),
+]
+
+EXTRACTOR = "topometric_ros.nodes.extractor"
+NODE = "/scout/extractor"
+WORK_S = 90.0
+
+
+def static_transform(parent: str, child: str) -> Any:
+    from geometry_msgs.msg import TransformStamped
+    from tf2_msgs.msg import TFMessage
+
+    entry = TransformStamped(child_frame_id=child)
+    entry.header.frame_id = parent
+    entry.transform.translation.x = 1.0
+    return TFMessage(transforms=[entry])
+
+
+def dumped(own: Graph) -> dict[str, Any]:
+    """Return every parameter of the node, as `ros2 param dump` writes them."""
+    from rcl_interfaces.srv import GetParameters, ListParameters
+    from rclpy.parameter import parameter_value_to_python
+
+    names = own.call(ListParameters, f"{NODE}/list_parameters", ListParameters.Request())
+    names = [name for name in names.result.names if not name.startswith("qos_overrides")]
+    request = GetParameters.Request(names=names)
+    values = own.call(GetParameters, f"{NODE}/get_parameters", request).values
+    found = [parameter_value_to_python(value) for value in values]
+    listed = [value if isinstance(value, (str, bytes)) or not hasattr(value, "__len__") else
+              list(value) for value in found]  # fmt: skip
+    return dict(zip(names, listed, strict=True))
+
+
+def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
+    own: Graph, start: Any, tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import PointCloud2
+    from tf2_msgs.msg import TFMessage
+    from topometric_msgs.msg import TopometricMap
+
+    from topometric_ros.nodes import qos
+
+    arguments = ("-r", "__ns:=/scout", "-p", "mode:=scan")
+    process = start(
+        EXTRACTOR, *arguments, "-p", "tf_timeout:=1.0", "-p", "max_rate:=20.0",
+        "-p", "map_frame:=map",
+    )  # fmt: skip
+    clouds = own.node.create_publisher(PointCloud2, "/scout/cloud", qos.CLOUD_RELIABLE)
+    static = own.node.create_publisher(TFMessage, "/tf_static", qos.STATIC_TRANSFORMS)
+    maps = own.subscribe(TopometricMap, "/scout/topometric_map", qos.SNAPSHOT)
+    diagnostics = own.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+
+    def status() -> Any:
+        """Return level, message and values of the newest status of the input."""
+        for message in reversed(list(diagnostics.messages)):
+            for entry in message.status:
+                if entry.name == f"{NODE}: input":
+                    return entry.level, entry.message, {v.key: v.value for v in entry.values}
+        return b"", "", {}
+
+    wait_for(clouds.get_subscription_count, WORK_S, "extractor", (process,))
+    static.publish(static_transform("odom", "lidar"))
+    room = cloud_message(box_room((0.0, 0.0, 0.0), (4.0, 5.0, 2.6)), "lidar")
+    clouds.publish(room)
+    given_up = lambda: status()[2].get("without transform") == "1"  # noqa: E731
+    wait_for(given_up, 20.0, "diagnostics entry of the scan given up", (process,))
+    level, message, _ = status()
+    assert level == b"\x01"
+    assert "no frame map on /tf; known: lidar, odom" in message
+    assert process.log.count("no frame map on /tf") == 1
+    assert len(maps) == 0, "no identity stands in for a transform that is missing"
+
+    static.publish(static_transform("map", "odom"))
+    clouds.publish(room)
+    wait_for(lambda: len(maps), WORK_S, "map", (process,))
+    assert (maps.last.header.frame_id, maps.last.sequence) == ("map", 1)
+    clouds.publish(room)
+    held = lambda: status()[2].get("too little changed", "0") != "0"  # noqa: E731
+    wait_for(held, WORK_S, "diagnostics entry of the unchanged scan", (process,))
+    assert len(maps) == 1
+
+    refusals = set_parameters(own, NODE, {"min_change": 7.0, "scans.core": 0.05, "tf_timeout": 2.5})
+    assert "range" in refusals[0]
+    assert "read-only" in refusals[1]
+    assert refusals[2] == ""
+    values = dumped(own)
+    assert (values["tf_timeout"], values["max_rate"]) == (2.5, 20.0)
+    assert process.stop(signal.SIGINT) == 0
+
+    path = tmp_path / "dump.yaml"
+    path.write_text(yaml.safe_dump({NODE: {"ros__parameters": values}}))
+    again = start(EXTRACTOR, *arguments[:2], "--params-file", str(path))
+    wait_for(clouds.get_subscription_count, WORK_S, "extractor again", (again,))
+    assert dumped(own) == values
+    assert "unknown parameters" not in again.log
+    assert again.stop(signal.SIGTERM) == 0
