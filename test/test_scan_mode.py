@@ -76,7 +76,8 @@ def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
                     return entry.level, entry.message, {v.key: v.value for v in entry.values}
         return b"", "", {}
 
-    wait_for(clouds.get_subscription_count, WORK_S, "extractor", (process,))
+    for publisher in (clouds, static):
+        wait_for(publisher.get_subscription_count, WORK_S, "extractor", (process,))
     static.publish(static_transform("odom", "lidar"))
     room = cloud_message(box_room((0.0, 0.0, 0.0), (4.0, 5.0, 2.6)), "lidar")
     clouds.publish(room)
@@ -84,8 +85,8 @@ def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
     wait_for(given_up, 20.0, "diagnostics entry of the scan given up", (process,))
     level, message, _ = status()
     assert level == b"\x01"
-    assert "no frame map on /tf; known: lidar, odom" in message
-    assert process.log.count("no frame map on /tf") == 1
+    assert "no frame map" in message
+    assert process.log.count("no frame map") == 1
     assert len(maps) == 0, "no identity stands in for a transform that is missing"
 
     static.publish(static_transform("map", "odom"))
