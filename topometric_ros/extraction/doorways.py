@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from topometric_ros.extraction.columns import Columns
 from topometric_ros.voxels.grid import VoxelGrid
 
-_SMALLEST_RISE, _HIGHEST_RISE = 0.15, 1.0
-"""m: a threshold rises less; what lies farther up or down within a metre is another floor."""
+_SMALLEST_RISE, _FLIGHT, _HIGHEST_RISE = 0.15, 0.5, 1.0
+"""m: a threshold rises less than a ramp, a stool less than a flight of stairs, and what lies
+farther up or down within a metre is another floor."""
 _SLOPE, _STEEP = 0.04, 0.3
 """Rise over run from which a floor is a ramp, and from which it is stairs."""
-_EVEN, _TREAD = 0.03, 0.1
+_EVEN, _TREAD = 0.03, 0.08
 """How far from one plane the floor of a ramp, and that of stairs, lies on average, m."""
 _BODY = (0.4, 1.7)
 """Heights above the floor, m, at which what stands beside a passage is a jamb."""
@@ -251,6 +252,6 @@ def kind_of_rise(floor: NDArray[np.float64]) -> str | None:
     slope = np.linalg.lstsq(plane, floor[:, 2], rcond=None)[0]
     off = np.sqrt(np.mean((plane @ slope - floor[:, 2]) ** 2))
     gradient = float(np.hypot(slope[0], slope[1]))
-    if gradient >= _STEEP and off <= _TREAD:
+    if gradient >= _STEEP and off <= _TREAD and np.ptp(floor[:, 2]) >= _FLIGHT:
         return "stairs"
     return "ramp" if gradient >= _SLOPE and off <= _EVEN else None
