@@ -57,11 +57,11 @@ class Totals:
     def line(self, name: str, storeys: str) -> str:
         """Return the figures as a row of a table."""
         widths = np.abs(self.widths)
-        areas = np.abs(self.areas)
+        area = f"{np.median(np.abs(self.areas)):.1%}" if self.areas else "–"
         return (
             f"| {name} | {self.right}/{self.found} | {self.pieces} | {self.covered}/{self.true} "
             f"| {self.triangles} | {storeys} | {np.sum(widths <= 0.1)}/{len(widths)} "
-            f"| {np.median(areas) if len(areas) else float('nan'):.1%} |"
+            f"| {area} |"
         )
 
     def add(self, other: Totals) -> None:
