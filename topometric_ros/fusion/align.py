@@ -16,6 +16,7 @@ from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Ro
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.consensus import consensus
+from topometric_ros.fusion.gates import missed_gate, objection
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
 from topometric_ros.fusion.prepared import Prepared
@@ -25,7 +26,8 @@ from topometric_ros.fusion.registration import (
     RegistrationError,
     register,
 )
-from topometric_ros.fusion.verification import Decision, Judged, decide, missed_gate, objection
+from topometric_ros.fusion.rivals import Judged
+from topometric_ros.fusion.verification import Decision, decide
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate, refine
 from topometric_ros.matching.propose import propose_from_rooms, room_distances

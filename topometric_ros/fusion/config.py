@@ -8,9 +8,9 @@ from topometric_ros.configuration import parameter
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.consensus import ConsensusConfig
 from topometric_ros.fusion.fuse import FuseConfig
+from topometric_ros.fusion.gates import VerificationConfig
 from topometric_ros.fusion.groups import GroupsConfig
 from topometric_ros.fusion.registration import RegistrationConfig
-from topometric_ros.fusion.verification import VerificationConfig
 from topometric_ros.matching.config import MatchingConfig, matching_preset
 from topometric_ros.matching.search import SearchConfig
 
@@ -76,5 +76,7 @@ def merge_preset(name: str) -> MergeConfig:
             check="gates",
             refinement="consensus",
             matching=matching_preset("thesis"),
+            # It has no rivals to compare with, so the walls alone must fix the position.
+            verification=VerificationConfig(smallest_eigenvalue=2.5),
         )
     raise ConfigurationError(f"unknown preset {name!r}; known: default, thesis")

@@ -13,83 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from topometric_ros.alignment import AlignmentStatus, Alternative
-from topometric_ros.configuration import parameter
+from topometric_ros.fusion.gates import VerificationConfig, may_be_a_twin, objection, why_a_twin
 from topometric_ros.fusion.rivals import Judged, difference, disproved_margin, distinct
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence
 
 _ALTERNATIVES = 5
 
-
-@dataclass(frozen=True)
-class _Leniency:
-    """When more conflict than the gates allow may pass: limits as in `VerificationConfig`."""
-
-    wall_conflict: float
-    furniture_conflict: float
-    furniture_judged: int
-    ratio: float
-    gap: float
-
-
-_VOUCHED = _Leniency(0.04, 0.05, 100, ratio=0.15, gap=600.0)
-"""Doors opened and shut between two visits put walls into free floor; that it is the same place is
-then vouched for by much furniture standing where it stood. Look-alike wings do not have that."""
-
-_CHANGED = _Leniency(0.06, 0.30, 0, ratio=0.15, gap=300.0)
-"""Other doors and other furniture too: only walls and the lack of a rival speak for the pose."""
-
-
-@dataclass(frozen=True)
-class VerificationConfig:
-    """What a pose must show to be accepted."""
-
-    free_floor: float = parameter(
-        6.0, "Floor that both maps must have seen free.", unit="m²", minimum=0.0
-    )
-    agreed_wall: float = parameter(
-        5.0, "Wall that both maps must have seen from the same side.", unit="m", minimum=0.0
-    )
-    smallest_eigenvalue: float = parameter(
-        2.5, "Wall in common that must run across the main direction.", unit="m", minimum=0.0
-    )
-    wall_conflict: float = parameter(
-        0.015, "Share of judged wall cells that may stand in the other's free floor.", minimum=0.0,
-        maximum=1.0,
-    )  # fmt: skip
-    furniture_conflict: float = parameter(
-        0.15, "Share of judged furniture cells that may stand on the other's bare floor.",
-        minimum=0.0, maximum=1.0,
-    )  # fmt: skip
-    furniture_judged: int = parameter(
-        15, "Furniture cells from which their conflict counts.", minimum=0
-    )
-    clear_ratio: float = parameter(
-        0.30, "Runner-up's share of the best value up to which `clear_gap` decides.", minimum=0.0,
-        maximum=1.0,
-    )  # fmt: skip
-    clear_gap: float = parameter(
-        150.0, "Lead of the best value where the runner-up is far behind.", minimum=0.0
-    )
-    wide_ratio: float = parameter(
-        0.75, "Runner-up's share of the best value up to which `wide_gap` decides.", minimum=0.0,
-        maximum=1.0,
-    )  # fmt: skip
-    wide_gap: float = parameter(
-        600.0, "Lead of the best value where the runner-up is near.", minimum=0.0
-    )
-    changed_furniture: bool = parameter(
-        False, "Also accept where doors and furniture changed, if much more is in common."
-    )
-    same_distance: float = parameter(
-        0.6, "Poses nearer than this on the plan are one.", unit="m", minimum=0.0, maximum=5.0
-    )
-    same_angle: float = parameter(
-        6.0, "Poses turned by less than this are one.", unit="deg", minimum=0.0, maximum=45.0
-    )
-    same_height: float = parameter(
-        0.3, "Poses nearer than this in height are one.", unit="m", minimum=0.0, maximum=2.0
-    )
+_TWIN_TRUST = 0.45
+"""Greatest confidence in a pose that an identical flat would have too."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +92,8 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
         rival = judged[rivals[1]][0] if len(rivals) > 1 else None
         reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
+    if may_be_a_twin(first, config):
+        return decision(AlignmentStatus.AMBIGUOUS, why_a_twin(first), min(trust, _TWIN_TRUST))
     return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio, near), trust)
 
 
@@ -191,73 +125,6 @@ def _told_apart(
 ) -> float:
     """Return the confidence in a pose all of whose near rivals lack walls that they should show."""
     return _as_confidence(min(gap / max(config.clear_gap, 1e-9), disproved_margin(best, near)))
-
-
-def objection(
-    evidence: Evidence, gap: float, ratio: float, config: VerificationConfig
-) -> str | None:
-    """Return what speaks against a pose, in a sentence, or None where it may be accepted.
-
-    After registration the evidence is computed anew and asked again, with the decision's `gap` and
-    `ratio`: a pose that passed must still pass where ICP has moved it.
-    """
-    missed = missed_gate(evidence, config)
-    if missed is not None and _holds_despite(evidence, gap, ratio, config):
-        return None
-    return missed
-
-
-def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
-    """Return the sentence of the first gate that a pose fails, or None where it passes all."""
-    e = evidence
-    if e.storeys == 0:
-        return "no floor of one map meets a floor of the other"
-    if e.free_floor < config.free_floor:
-        return (
-            f"too little in common: both maps saw {e.free_floor:.1f} m² of the same free floor, "
-            f"at least {config.free_floor:g} m² are needed"
-        )
-    if e.agreed_wall < config.agreed_wall:
-        return (
-            f"too little in common: both maps saw {e.agreed_wall:.1f} m of wall from the same "
-            f"side, at least {config.agreed_wall:g} m are needed"
-        )
-    if e.smallest_eigenvalue < config.smallest_eigenvalue:
-        return (
-            "the walls in common all run one way, so the position along them is not fixed: "
-            f"{e.smallest_eigenvalue:.1f} m of wall run across, "
-            f"at least {config.smallest_eigenvalue:g} m are needed"
-        )
-    if e.wall_conflict > config.wall_conflict:
-        cells = e.wall_conflict_cells / e.wall_conflict
-        return (
-            "the walls of one map stand in the seen-free floor of the other: "
-            f"{e.wall_conflict:.1%} of {cells:.0f} wall cells conflict, "
-            f"at most {config.wall_conflict:.1%} allowed"
-        )
-    counted = e.furniture_judged >= config.furniture_judged
-    if counted and e.furniture_conflict > config.furniture_conflict:
-        return (
-            "the furniture of one map stands where the other saw bare floor: "
-            f"{e.furniture_conflict:.0%} of {e.furniture_judged} furniture cells conflict, "
-            f"at most {config.furniture_conflict:.0%} allowed"
-        )
-    return None
-
-
-def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationConfig) -> bool:
-    """Whether so much else speaks for a pose that some conflict may pass."""
-    if e.free_floor < 20.0 or e.agreed_wall < 10.0 or e.smallest_eigenvalue < 5.0:
-        return False
-    rules = (_VOUCHED, _CHANGED) if config.changed_furniture else (_VOUCHED,)
-    return any(
-        e.wall_conflict <= rule.wall_conflict
-        and e.furniture_conflict <= rule.furniture_conflict
-        and e.furniture_judged >= rule.furniture_judged
-        and ratio <= rule.ratio
-        and gap >= rule.gap
-        for rule in rules
-    )
 
 
 def _why_accepted(e: Evidence, ratio: float, near: Sequence[Evidence]) -> str:

@@ -41,7 +41,13 @@ _THERE, _ABSENT = 2.0, 3.0
 
 _SCORE_ZERO_AT_WALLS = 0.1
 _SCORE_ZERO_AT_FURNITURE = 0.5
-_FURNITURE_COUNTS_FROM = 20
+_FURNITURE_ASSUMED = 10
+"""Furniture cells in agreement that are added to those judged: few cells say little."""
+
+_SCORE_FULL_ACROSS = 0.25
+"""Wall across as a share of that along: a corridor that slides along another has less.
+
+Otherwise the free floor of two corridors outweighs the walls of two rooms."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,8 @@ class Evidence:
     """Conflict / (conflict + agree): 0 where nothing could be judged."""
     free_floor: float
     """Floor that both maps saw free, m²."""
+    free_share: float
+    """The same as a share of all that the smaller map saw free: 1 where it adds no floor."""
     agreed_wall: float
     """Wall that both saw from the same side, m."""
     smallest_eigenvalue: float
@@ -113,20 +121,21 @@ def evaluate(
         (_share(c.furniture_conflict, c.furniture_agree), c.furniture_conflict, c.furniture_judged)
         for c in counts
     )
-    value = score * max(0.0, 1.0 - wall[0] / _SCORE_ZERO_AT_WALLS)
-    if furniture[1] >= _FURNITURE_COUNTS_FROM:
-        value *= max(0.0, 1.0 - furniture[0] / _SCORE_ZERO_AT_FURNITURE)
     in_view, absent = (sum(c.in_view for c in counts), sum(c.absent for c in counts))
     centre = common_centre(compare(fields_a, fields_b, pose.height, None), pose)
+    along = max(min(c.same_side for c in counts) * CELL, 1e-6)
+    across = min(c.smallest_eigenvalue for c in counts)
     return Evidence(
         score=score,
-        value=max(0.0, value),
+        value=_value(score, wall[0], furniture[1:], across / along),
         wall_agree=min(c.agree for c in counts),
         wall_conflict_cells=wall[1],
         wall_conflict=wall[0],
         free_floor=min(c.free for c in counts) * CELL**2,
+        free_share=min(c.free for c in counts)
+        / max(1, min(map(_free_cells, (fields_a, fields_b)))),
         agreed_wall=min(c.same_side for c in counts) * CELL,
-        smallest_eigenvalue=min(c.smallest_eigenvalue for c in counts),
+        smallest_eigenvalue=across,
         furniture_judged=furniture[2],
         furniture_conflict_cells=furniture[1],
         furniture_conflict=furniture[0],
@@ -134,6 +143,27 @@ def evaluate(
         wall_absent=_share(absent, in_view - absent),
         storeys=len(storey_pairs(fields_a, fields_b, pose.height)),
         centre=(float(centre[0]), float(centre[1]), 0.0),
+    )
+
+
+def _free_cells(fields: MapFields) -> int:
+    return sum(len(storey.free) for storey in fields.storeys)
+
+
+def _value(score: float, wall: float, furniture: tuple[int, int], across: float) -> float:
+    """Return S made smaller by conflicts and where the walls in common hardly fix the position.
+
+    `wall` is a share, `furniture` the cells in conflict and judged, `across` the smallest
+    eigenvalue as a share of all wall in common.
+    """
+    displaced, judged = furniture
+    share = displaced / (judged + _FURNITURE_ASSUMED)
+    along = max(1.0 - across, 1e-6)
+    return (
+        max(0.0, score)
+        * max(0.0, 1.0 - wall / _SCORE_ZERO_AT_WALLS)
+        * max(0.0, 1.0 - share / _SCORE_ZERO_AT_FURNITURE)
+        * min(1.0, across / along / _SCORE_FULL_ACROSS)
     )
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from topometric_ros.alignment import Alignment
 from topometric_ros.fusion.align import Prepared
 from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.fusion.gates import missed_gate
 from topometric_ros.fusion.poses import angle, apart, inverse, level_frames
-from topometric_ros.fusion.verification import missed_gate
 from topometric_ros.matching.evidence import evaluate
 
 logger = logging.getLogger(__name__)

@@ -1,0 +1,205 @@
+"""What a pose must show to be believed, whatever its rivals: the gates, and when they give way.
+
+Enough must have been seen in common to fix the position, and hardly anything may speak against it.
+Shares are judged by their lower bound: that 7 of 382 cells conflict does not prove 1.5 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from topometric_ros.configuration import parameter
+from topometric_ros.matching.evidence import Evidence
+
+_ACROSS_ENOUGH = 2.5
+"""Wall that runs across (m) from which its share does not matter."""
+
+_WALL_CLUMP, _FURNITURE_CLUMP = 2.0, 3.0
+"""Neighbouring cells that err together and count as one."""
+
+
+@dataclass(frozen=True)
+class _Leniency:
+    """When more conflict than the gates allow may pass: limits as in `VerificationConfig`."""
+
+    wall_conflict: float
+    furniture_conflict: float
+    furniture_judged: int
+    ratio: float
+    gap: float
+
+
+_MOVED = _Leniency(0.01, 0.35, 0, ratio=0.15, gap=300.0)
+"""Furniture moved between two visits: the walls of several rooms vouch for the place."""
+
+_VOUCHED = _Leniency(0.04, 0.05, 100, ratio=0.15, gap=600.0)
+"""Doors opened and shut between two visits put walls into free floor; that it is the same place is
+then vouched for by much furniture standing where it stood. Look-alike wings do not have that."""
+
+_CHANGED = _Leniency(0.06, 0.30, 0, ratio=0.15, gap=300.0)
+"""Other doors and other furniture too: only walls and the lack of a rival speak for the pose."""
+
+
+@dataclass(frozen=True)
+class VerificationConfig:
+    """What a pose must show to be accepted."""
+
+    free_floor: float = parameter(
+        6.0, "Floor that both maps must have seen free.", unit="m²", minimum=0.0
+    )
+    agreed_wall: float = parameter(
+        5.0, "Wall that both maps must have seen from the same side.", unit="m", minimum=0.0
+    )
+    smallest_eigenvalue: float = parameter(
+        1.5, "Wall in common that must run across the main direction.", unit="m", minimum=0.0
+    )
+    across_share: float = parameter(
+        0.2, "The same as a share of the wall along it; not asked for from 2.5 m on.", minimum=0.0,
+        maximum=1.0,
+    )  # fmt: skip
+    wall_conflict: float = parameter(
+        0.015, "Share of judged wall cells that may stand in the other's free floor, beyond doubt: "
+        "the lower bound of the share counts.", minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+    furniture_conflict: float = parameter(
+        0.15, "Share of judged furniture cells that may stand on the other's bare floor, likewise.",
+        minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+    furniture_judged: int = parameter(
+        15, "Furniture cells from which their conflict counts.", minimum=0
+    )
+    clear_ratio: float = parameter(
+        0.30, "Runner-up's share of the best value up to which `clear_gap` decides.", minimum=0.0,
+        maximum=1.0,
+    )  # fmt: skip
+    clear_gap: float = parameter(
+        90.0, "Lead of the best value where the runner-up is far behind.", minimum=0.0
+    )
+    wide_ratio: float = parameter(
+        0.75, "Runner-up's share of the best value up to which `wide_gap` decides.", minimum=0.0,
+        maximum=1.0,
+    )  # fmt: skip
+    wide_gap: float = parameter(
+        500.0, "Lead of the best value where the runner-up is near.", minimum=0.0
+    )
+    twin_share: float = parameter(
+        0.8, "Share of the smaller map's floor in common from which it may be another, identical "
+        "flat; above 1: never.", minimum=0.0, maximum=2.0,
+    )  # fmt: skip
+    twin_furniture: float = parameter(
+        0.005, "Furniture in conflict from which that is held possible.", minimum=0.0, maximum=1.0
+    )
+    changed_furniture: bool = parameter(
+        False, "Also accept where doors and furniture changed, if much more is in common."
+    )
+    same_distance: float = parameter(
+        0.6, "Poses nearer than this on the plan are one.", unit="m", minimum=0.0, maximum=5.0
+    )
+    same_angle: float = parameter(
+        6.0, "Poses turned by less than this are one.", unit="deg", minimum=0.0, maximum=45.0
+    )
+    same_height: float = parameter(
+        0.3, "Poses nearer than this in height are one.", unit="m", minimum=0.0, maximum=2.0
+    )
+
+
+def objection(
+    evidence: Evidence, gap: float, ratio: float, config: VerificationConfig
+) -> str | None:
+    """Return what speaks against a pose, in a sentence, or None where it may be accepted.
+
+    After registration the evidence is computed anew and asked again, with the decision's `gap` and
+    `ratio`: a pose that passed must still pass where ICP has moved it.
+    """
+    missed = missed_gate(evidence, config)
+    if missed is not None and _holds_despite(evidence, gap, ratio, config):
+        return None
+    return missed
+
+
+def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
+    """Return the sentence of the first gate that a pose fails, or None where it passes all."""
+    e = evidence
+    if e.storeys == 0:
+        return "no floor of one map meets a floor of the other"
+    if e.free_floor < config.free_floor:
+        return (
+            f"too little in common: both maps saw {e.free_floor:.1f} m² of the same free floor, "
+            f"at least {config.free_floor:g} m² are needed"
+        )
+    if e.agreed_wall < config.agreed_wall:
+        return (
+            f"too little in common: both maps saw {e.agreed_wall:.1f} m of wall from the same "
+            f"side, at least {config.agreed_wall:g} m are needed"
+        )
+    along = e.agreed_wall - e.smallest_eigenvalue
+    needed = max(config.smallest_eigenvalue, min(_ACROSS_ENOUGH, config.across_share * along))
+    if e.smallest_eigenvalue < needed:
+        return (
+            "the walls in common all run one way, so the position along them is not fixed: "
+            f"{e.smallest_eigenvalue:.1f} m of wall run across, "
+            f"at least {needed:.1f} m are needed"
+        )
+    cells = e.wall_conflict_cells / e.wall_conflict if e.wall_conflict > 0.0 else 0.0
+    if _at_least(e.wall_conflict, cells / _WALL_CLUMP) > config.wall_conflict:
+        return (
+            "the walls of one map stand in the seen-free floor of the other: "
+            f"{e.wall_conflict:.1%} of {cells:.0f} wall cells conflict, "
+            f"at most {config.wall_conflict:.1%} allowed"
+        )
+    counted = e.furniture_judged >= config.furniture_judged
+    surely = _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
+    if counted and surely > config.furniture_conflict:
+        return (
+            "the furniture of one map stands where the other saw bare floor: "
+            f"{e.furniture_conflict:.0%} of {e.furniture_judged} furniture cells conflict, "
+            f"at most {config.furniture_conflict:.0%} allowed"
+        )
+    return None
+
+
+def _at_least(share: float, count: float) -> float:
+    """Return the lower bound of a share seen in `count` cases, at 95 % one-sided (Wilson 1927)."""
+    if count <= 0.0:
+        return 0.0
+    z = 1.645
+    spread = np.sqrt(share * (1.0 - share) / count + z**2 / (4.0 * count**2))
+    return float(max(0.0, (share + z**2 / (2.0 * count) - z * spread) / (1.0 + z**2 / count)))
+
+
+def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationConfig) -> bool:
+    """Whether so much else speaks for a pose that some conflict may pass."""
+    if e.storeys == 0 or e.free_floor < 20.0 or e.agreed_wall < 10.0 or e.smallest_eigenvalue < 5.0:
+        return False
+    rules = (_MOVED, _VOUCHED, _CHANGED) if config.changed_furniture else (_MOVED, _VOUCHED)
+    return any(
+        e.wall_conflict <= rule.wall_conflict
+        and e.furniture_conflict <= rule.furniture_conflict
+        and e.furniture_judged >= rule.furniture_judged
+        and ratio <= rule.ratio
+        and gap >= rule.gap
+        for rule in rules
+    )
+
+
+def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
+    """Whether two identical flats, furnished alike, would look the same.
+
+    Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees.
+    """
+    return (
+        e.free_share >= config.twin_share
+        and e.furniture_conflict_cells >= _FURNITURE_CLUMP
+        and e.furniture_conflict >= config.twin_furniture
+    )
+
+
+def why_a_twin(e: Evidence) -> str:
+    """Return why a pose of which :func:`may_be_a_twin` holds is not accepted, in a sentence."""
+    return (
+        f"one map holds {e.free_share:.0%} of the floor of the other, so nothing else tells where "
+        f"that lies, and {e.furniture_conflict:.1%} of the furniture stands elsewhere: "
+        "an identical flat would look the same"
+    )
