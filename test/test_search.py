@@ -10,6 +10,7 @@ import pytest
 from test.helpers import moved, yaw_transform
 from test.helpers_search import FLAT, building, map_of
 from topometric_ros.matching.evidence import evaluate, refine
+from topometric_ros.matching.likeness import likeness
 from topometric_ros.matching.main_direction import main_direction
 from topometric_ros.matching.search import SearchConfig, search_poses
 from topometric_ros.matching.search_fields import (
@@ -167,3 +168,12 @@ def test_rasters_of_another_cell_size_are_refused(map_a):
     odd = dataclasses.replace(map_a, storeys=(dataclasses.replace(storey, layers=coarse),))
     with pytest.raises(SearchError, match=r"cells of 0\.2 m"):
         prepare(odd, SCORING)
+
+
+def test_a_room_of_which_there_are_more_is_like_another_part_of_the_map_and_a_flat_is_not(flat):
+    rooms = [((4.1 * k, 0.0, 0.0), (4.0, 5.0, 2.6), (("x+", 1.0),)) for k in range(3)]
+    row = prepare(map_of(building(rooms)), CONFIG.scoring)
+    alone = prepare(map_of(flat), CONFIG.scoring)
+    one = prepare(map_of(building(rooms[:1])), CONFIG.scoring)
+    assert likeness(row, one, np.eye(4), CONFIG.scoring) > 0.8
+    assert likeness(alone, alone, np.eye(4), CONFIG.scoring) < 0.4

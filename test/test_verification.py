@@ -11,7 +11,7 @@ from test.helpers import yaw_transform
 from test.helpers_search import FLAT, OTHER, TWIN, building, map_of
 from topometric_ros.alignment import AlignmentStatus
 from topometric_ros.fusion.gates import VerificationConfig, missed_gate, objection
-from topometric_ros.fusion.verification import confidence, decide
+from topometric_ros.fusion.verification import confidence, decide, doubt_repeated
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate
 from topometric_ros.matching.search import SearchConfig, search_poses
@@ -159,8 +159,9 @@ def test_confidence_rises_with_the_gap_and_falls_with_the_ratio():
     assert gaps == sorted(gaps)
     assert ratios == sorted(ratios, reverse=True)
     assert all(0.0 <= value < 1.0 for value in gaps + ratios)
-    assert confidence(90.0, 0.3, CONFIG) == pytest.approx(0.5)
-    assert confidence(500.0, 0.75, CONFIG) == pytest.approx(0.5)
+    assert confidence(90.0, 0.3, CONFIG) == pytest.approx(2 / 3)
+    assert confidence(500.0, 0.75, CONFIG) == pytest.approx(2 / 3)
+    assert confidence(89.0, 0.0, CONFIG) < 0.5
 
 
 def test_a_shut_door_is_forgiven_where_the_furniture_vouches_for_the_place():
@@ -191,6 +192,15 @@ def test_a_flat_that_one_map_holds_whole_may_be_its_twin_where_furniture_differs
     assert decide([at(0.0, same)], CONFIG).status is AlignmentStatus.ACCEPTED
     beyond = good(**{**twin, "free_share": 0.6}, furniture_conflict=0.035)
     assert decide([at(0.0, beyond)], CONFIG).status is AlignmentStatus.ACCEPTED
+
+
+def test_a_small_part_that_repeats_in_the_maps_is_ambiguous():
+    decision = decide([at(0.0)], CONFIG)
+    assert doubt_repeated(decision, GOOD, 0.2, CONFIG) == decision
+    doubted = doubt_repeated(decision, GOOD, 0.7, CONFIG)
+    assert doubted.status is AlignmentStatus.AMBIGUOUS
+    assert doubted.confidence < 0.5
+    assert "which fits 70% as well" in doubted.reason
 
 
 def test_few_cells_in_conflict_do_not_disprove_a_pose():

@@ -27,9 +27,10 @@ from topometric_ros.fusion.registration import (
     register,
 )
 from topometric_ros.fusion.rivals import Judged
-from topometric_ros.fusion.verification import Decision, decide
+from topometric_ros.fusion.verification import Decision, decide, doubt_repeated
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate, refine
+from topometric_ros.matching.likeness import likeness
 from topometric_ros.matching.propose import propose_from_rooms, room_distances
 from topometric_ros.matching.search import search_poses
 from topometric_ros.matching.search_fields import ScoringConfig
@@ -85,6 +86,7 @@ def align(
     with watch.stage("evidence"):
         judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, _scoring(config))) for c in candidates]
         decision = decide(judged, config.verification)
+        decision = _unless_repeated(a, b, judged, decision, config)
     alternatives = _alternatives(a, b, decision)
     if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
         refused = _refused(a, b, decision.status, decision.reason)
@@ -93,6 +95,24 @@ def align(
             refused, alternatives=alternatives, confidence=decision.confidence, score=score
         )
     return _registered(a, b, judged[decision.best], decision, config, watch)
+
+
+def _unless_repeated(
+    a: Prepared, b: Prepared, judged: list[Judged], decision: Decision, config: MergeConfig
+) -> Decision:
+    """Doubt an accepted pose that brings together little more than a room of which there are more.
+
+    The search for others costs as much as that for the pose, so it is made for small parts only.
+    """
+    if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
+        return decision
+    candidate, evidence = judged[decision.best]
+    limits = config.verification
+    small = evidence.free_floor < limits.repeated_floor
+    if not small or evidence.free_share >= limits.repeated_part:
+        return decision
+    share = likeness(a.fields, b.fields, candidate.T_a_b, _scoring(config))
+    return doubt_repeated(decision, evidence, share, limits)
 
 
 def _candidates(a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch) -> list[Candidate]:

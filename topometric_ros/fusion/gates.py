@@ -91,6 +91,18 @@ class VerificationConfig:
     twin_furniture: float = parameter(
         0.005, "Furniture in conflict from which that is held possible.", minimum=0.0, maximum=1.0
     )
+    repeated_floor: float = parameter(
+        70.0, "Floor in common below which it must not look like another part of the maps: a room "
+        "or two.", unit="m²", minimum=0.0,
+    )  # fmt: skip
+    repeated_part: float = parameter(
+        0.3, "Part of the smaller map's floor below which the same is asked: the rest of that map "
+        "says little about where it lies.", minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+    repeated_share: float = parameter(
+        0.4, "How well such a part may fit elsewhere, as a share of how it fits there.",
+        minimum=0.0, maximum=10.0,
+    )  # fmt: skip
     changed_furniture: bool = parameter(
         False, "Also accept where doors and furniture changed, if much more is in common."
     )

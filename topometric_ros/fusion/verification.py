@@ -8,7 +8,7 @@ operator with the number that decided and the threshold that it missed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence
 
 _ALTERNATIVES = 5
+
+_CALIBRATED = 1.85
+"""Exponent of a margin in the odds of a pose that leads by it."""
 
 _TWIN_TRUST = 0.45
 """Greatest confidence in a pose that an identical flat would have too."""
@@ -97,12 +100,32 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
     return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio, near), trust)
 
 
+def doubt_repeated(
+    decision: Decision, evidence: Evidence, share: float, config: VerificationConfig
+) -> Decision:
+    """Return an accepted decision, ambiguous where the part in common repeats in the maps.
+
+    Parameters
+    ----------
+    share : how well the part fits elsewhere, see :func:`matching.likeness.likeness`
+    """
+    if share < config.repeated_share:
+        return decision
+    reason = (
+        f"the {evidence.free_floor:.0f} m² of floor in common look like another part of the maps, "
+        f"which fits {share:.0%} as well, at most {config.repeated_share:.0%} allowed: "
+        "let the maps share more rooms"
+    )
+    trust = min(decision.confidence, _TWIN_TRUST)
+    return replace(decision, status=AlignmentStatus.AMBIGUOUS, reason=reason, confidence=trust)
+
+
 def confidence(gap: float, ratio: float, config: VerificationConfig) -> float:
     """Return how far the best pose is ahead of the runner-up: 0..1, accepted from 0.5.
 
     With gap = V1 − V2 and ratio = V2 / V1, m is the larger over both rules of
-    min(gap / least gap, greatest ratio / ratio) and the confidence is m / (1 + m): it rises with
-    the gap, falls with the ratio and is 0.5 where a rule is just met. It is no probability.
+    min(gap / least gap, greatest ratio / ratio). Below 1 the confidence is m / (1 + m), from 1 on
+    the odds are 2 m^1.85, as often as such poses were right (docs/benchmarks.md).
     """
     ratio = max(ratio, 1e-9)
     margin = max(
@@ -112,11 +135,11 @@ def confidence(gap: float, ratio: float, config: VerificationConfig) -> float:
             (config.wide_gap, config.wide_ratio),
         )
     )
-    return _as_confidence(margin)
+    return _as_confidence(2.0 * margin**_CALIBRATED if margin >= 1.0 else margin)
 
 
 def _as_confidence(margin: float) -> float:
-    """Map a margin, 1 where a rule is just met, to 0..1 with 0.5 there."""
+    """Map odds, or a margin that is 1 where a rule is just met, to 0..1."""
     return float(max(0.0, margin) / (1.0 + max(0.0, margin)))
 
 
