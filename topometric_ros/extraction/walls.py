@@ -21,6 +21,10 @@ _EIGHT = np.ones((3, 3), bool)
 _INSIDE = 3
 """Cells from a face of a wall to its inside, at most."""
 
+_AROUND = 21
+_ROOF = 80
+"""Cells that stand on nothing in a square of 2.1 m: more than the lintel of a wide door has."""
+
 MARGIN = 10
 """Empty cells round the raster, so that no operation meets its edge."""
 
@@ -143,12 +147,14 @@ def _without_roofs(
 ) -> NDArray[np.bool_]:
     """Close walls and drop roofs, which are thick and stand on nothing (change C of the recipe).
 
-    A roof is known by a place too thick for a lintel and too far from all that stands for the
-    inside of a wall. What stands on nothing and hangs together with it goes too, 0.6 m far.
+    A roof is known by a place that is too thick and has too much round it that stands on nothing
+    for a lintel, and is too far from all that stands for the inside of a wall. What stands on
+    nothing and hangs together with it goes too, 0.6 m far.
     """
     wall = closed(seen, radius)
     hanging = wall & ~ndimage.binary_dilation(support, _EIGHT)
-    core = opened(wall, radius) & ~dilated(support, _INSIDE)
+    around = ndimage.uniform_filter(hanging.astype(float), _AROUND, mode="constant") * _AROUND**2
+    core = opened(wall, radius) & ~dilated(support, _INSIDE) & (around >= _ROOF)
     parts, _ = ndimage.label(hanging, _EIGHT)
     of_roof = np.bincount(parts[core & hanging], minlength=int(parts.max()) + 1) > 0
     return wall & ~(hanging & of_roof[parts] & dilated(core, 2 * _INSIDE))
