@@ -123,6 +123,28 @@ def test_nobody_can_tell_which_of_three_like_alignments_is_wrong() -> None:
     assert group_agents(AGENTS[:3], sure, GroupsConfig()).group == (0, 0, 0)
 
 
+@pytest.mark.parametrize("seed", [2, 5, 14])
+def test_the_least_confident_link_of_a_long_lone_cycle_goes_and_no_other(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places = {
+        f"r{k}": yaw_transform(rng.uniform(-3, 3), (12.0 * k, rng.uniform(-4, 4), 0.0))
+        for k in range(10)
+    }
+    ring = [(f"r{k}", f"r{(k + 1) % 10}") for k in range(10)]
+    wrong = yaw_transform(rng.uniform(-3, 3), (rng.uniform(-9, 9), rng.uniform(-9, 9), 0.0))
+    alignments = []
+    for k, (a, b) in enumerate(ring):
+        T = inverse(places[a]) @ places[b] @ (wrong if k == 9 else np.eye(4))
+        confidence = 0.53 if k == 9 else 0.8 + 0.01 * k
+        alignments.append(
+            Alignment((a, b), AlignmentStatus.ACCEPTED, "", T_a_b=T, confidence=confidence)
+        )
+    centres = {agent: np.array([5.0, 3.0, 1.0]) for agent in places}
+    groups = group_agents(tuple(places), alignments, GroupsConfig(), centres=centres)
+    assert [not x.accepted for x in groups.alignments] == [False] * 9 + [True]
+    assert set(groups.group) == {0}
+
+
 def fleet(noise: float, poisoned: dict[tuple[int, int], np.ndarray]) -> tuple[list, list, dict]:
     """Return (agents, alignments of all pairs, true places) of ten agents, some pairs wrong.
 

@@ -157,24 +157,27 @@ def _solved(
     edges = sorted(graph.edges, key=lambda edge: graph.edges[edge]["index"])
     tree = nx.maximum_spanning_tree(graph, weight="weight")
     poses = _chained(members, tree, alignments, known)
+    withdrawn: dict[int, str] = {}
     if len(edges) >= len(members):
         links = [_link(members, alignments[graph.edges[e]["index"]], known) for e in edges]
         middles = np.array([known.middles.get(agent, np.zeros(3)) for agent in members])
         limits = (config.cycle_distance, np.radians(config.cycle_angle))
-        confidence = np.array([min(graph.edges[e]["weight"], 1.0) for e in edges])
         # Many outvote one that is surer; between equals the surer one stays.
-        trust = 0.5 + confidence
+        trust = np.array([0.5 + min(graph.edges[e]["weight"], 1.0) for e in edges])
         belief = switched_on(poses, links, middles, limits, trust)
         for edge, weight in zip(edges, belief, strict=True):
             on = graph.edges[edge]["weight"] >= 2.0 or weight >= 0.5
             graph.edges[edge]["belief"] = graph.edges[edge]["weight"] + (4.0 if on else 0.0)
-        tree = nx.maximum_spanning_tree(graph, weight="belief")
-        poses = _chained(members, tree, alignments, known)
-        poses, misfits = _averaged(poses, links, middles, limits)
+        voted = _chained(
+            members, nx.maximum_spanning_tree(graph, weight="belief"), alignments, known
+        )
+        # The vote errs in lone cycles, the confidences where a wrong link is sure of itself: what
+        # keeps more of the links is believed.
+        answers = [_averaged(start, links, middles, limits) for start in (poses, voted)]
+        kept = [trust[[m is None for m in misfits]].sum() for _, misfits in answers]
+        poses, misfits = answers[int(np.argmax(kept))]
         wrong = {e: m for e, m in zip(edges, misfits, strict=True) if m is not None}
         withdrawn = _withdrawn(graph, wrong, alignments, config, known)
-    else:
-        withdrawn = {}
     to_input = inverse(known.level(members[0]))
     return {agent: to_input @ P for agent, P in zip(members, poses, strict=True)}, withdrawn
 
