@@ -38,7 +38,8 @@ from topometric_ros.io.packing import (
 )
 
 MAGIC = b"TMAP"
-VERSION = 1
+VERSION = 2
+"""1 kept mean points in sixteenths of a voxel, 2 keeps them in quarters."""
 _PREFIX = struct.Struct("<4sHII")
 _LARGEST_HEADER = 1 << 26
 _TYPES = ("int8", "int32", "uint32", "float32", "float64")
