@@ -39,9 +39,14 @@ def add_parser(commands: Any) -> None:
 def export(options: argparse.Namespace) -> int:
     """Load the map and write it."""
     from topometric_ros.io.exports import export_map
-    from topometric_ros.io.map_files import load_global_map, map_file_in
+    from topometric_ros.io.map_files import load_global_map, map_file_of
+    from topometric_ros.io.map_format import MapFileError
 
-    m, observed_by, _ = load_global_map(map_file_in(Path(options.map)))
+    path = Path(options.map)
+    file = map_file_of(path) if path.is_dir() else path
+    if file is None:
+        raise MapFileError(f"{path}: expected global.tmap or map.tmap in the folder, got neither")
+    m, observed_by, _ = load_global_map(file)
     folder = output_folder(options)
     for path in export_map(folder, m, options.formats or _writable(), observed_by):
         print(f"written: {path}")

@@ -83,14 +83,10 @@ def load_global_map(
     return decode_map(data, str(path))
 
 
-def map_file_in(path: Path) -> Path:
-    """Return the map file that an output folder holds, the global one first; a file as it is."""
-    for name in ("global.tmap", "map.tmap"):
-        if (path / name).is_file():
-            return path / name
-    if path.is_dir():
-        raise MapFileError(f"{path}: expected global.tmap or map.tmap in the folder, got neither")
-    return path
+def map_file_of(folder: Path) -> Path | None:
+    """Return the map file that an output folder holds, the global one first, or None."""
+    files = (folder / name for name in ("global.tmap", "map.tmap"))
+    return next((file for file in files if file.is_file()), None)
 
 
 def encode_map(

@@ -5,12 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from topometric_ros.alignment import MERGE_SCHEMA, Alignment, MergeResult
 from topometric_ros.io.map_files import save_map
-from topometric_ros.io.summaries import write_json, write_rooms_ply
+from topometric_ros.io.summaries import matrix_rows, write_json, write_rooms_ply
 
 
 def write_merge_files(folder: Path, result: MergeResult) -> None:
@@ -40,8 +37,8 @@ def merge_summary(result: MergeResult) -> dict[str, Any]:
                 "status": str(agent.status),
                 "reason": agent.reason,
                 "group": int(agent.group),
-                "T_group_agent": _matrix(agent.T_group_agent),
-                "T_global_agent": _matrix(agent.T_global_agent),
+                "T_group_agent": matrix_rows(agent.T_group_agent),
+                "T_global_agent": matrix_rows(agent.T_global_agent),
             }
             for agent in result.agents
         ],
@@ -54,9 +51,9 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
         "agents": list(alignment.agents),
         "status": str(alignment.status),
         "reason": alignment.reason,
-        "T_a_b": _matrix(alignment.T_a_b),
+        "T_a_b": matrix_rows(alignment.T_a_b),
         "alternatives": [
-            {"T_a_b": _matrix(alternative.T_a_b), "score": float(alternative.score)}
+            {"T_a_b": matrix_rows(alternative.T_a_b), "score": float(alternative.score)}
             for alternative in alignment.alternatives
         ],
         "confidence": float(alignment.confidence),
@@ -67,7 +64,3 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
             for match in alignment.matches
         ],
     }
-
-
-def _matrix(T: NDArray[np.float64] | None) -> list[list[float]] | None:
-    return None if T is None else [[float(value) for value in row] for row in T]

@@ -90,6 +90,11 @@ def floats(values: Any) -> list[float]:
     return [float(value) for value in values]
 
 
+def matrix_rows(matrix: NDArray[np.float64] | None) -> list[list[float]] | None:
+    """Return a matrix as rows of Python floats, and None as it is."""
+    return None if matrix is None else [floats(row) for row in matrix]
+
+
 def optional(value: float | None) -> float | None:
     """Return a number as a Python float, and None as it is."""
     return None if value is None else float(value)

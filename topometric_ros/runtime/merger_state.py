@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
 from topometric_ros.io.map_files import decode_map, encode_map
 from topometric_ros.io.map_format import MapFileError, Section, decode, encode
-from topometric_ros.io.summaries import write_atomically
+from topometric_ros.io.summaries import matrix_rows, write_atomically
 from topometric_ros.runtime.transforms import TransformError, check_rigid
 from topometric_ros.topometric_map import TopometricMap
 
@@ -139,13 +139,13 @@ def _fields(alignment: Alignment) -> dict[str, Any]:
         "agents": list(alignment.agents),
         "status": str(alignment.status),
         "reason": alignment.reason,
-        "T_a_b": _rows(alignment.T_a_b),
-        "alternatives": [[_rows(x.T_a_b), float(x.score)] for x in alignment.alternatives],
+        "T_a_b": matrix_rows(alignment.T_a_b),
+        "alternatives": [[matrix_rows(x.T_a_b), float(x.score)] for x in alignment.alternatives],
         "confidence": float(alignment.confidence),
         "overlap": float(alignment.overlap),
         "rmse": float(alignment.rmse),
         "matches": [[int(m.room_a), int(m.room_b), float(m.distance)] for m in alignment.matches],
-        "covariance": _rows(alignment.covariance),
+        "covariance": matrix_rows(alignment.covariance),
         "score": float(alignment.score),
     }
 
@@ -169,10 +169,6 @@ def _alignment(entry: Mapping[str, Any]) -> Alignment:
         covariance=_matrix(entry["covariance"], 6),
         score=float(entry["score"]),
     )
-
-
-def _rows(matrix: NDArray[np.float64] | None) -> list[list[float]] | None:
-    return None if matrix is None else [[float(value) for value in row] for row in matrix]
 
 
 def _matrix(rows: list[list[float]] | None, size: int) -> NDArray[np.float64] | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.io.map_files import load_global_map
+from topometric_ros.io.map_files import load_global_map, map_file_of
 from topometric_ros.io.trajectories import read_trajectories, trajectory_of
 from topometric_ros.runtime.bag_sources import parse_source
 from topometric_ros.runtime.config import ToolConfig
@@ -33,9 +33,8 @@ def load_view(
         The source cannot be read or holds nothing to show.
     """
     path = Path(source)
-    for name in ("global.tmap", "map.tmap"):
-        if (path / name).is_file():
-            return _map_file_view(path / name)
+    if (held := map_file_of(path)) is not None:
+        return _map_file_view(held)
     if path.suffix.lower() == MAP_SUFFIX and path.is_file():
         return _map_file_view(path)
     loaded = load_source(parse_source(source), config, options, progress)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from topometric_ros.errors import TopometricError
 from topometric_ros.voxels.morton import morton_encode
 
-_BRICK_OFFSET = 1 << 19
+BRICK_OFFSET = 1 << 19
+"""Added to the coordinates of a brick, so that its key has no negative part."""
 _HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Fibonacci hashing
 EMPTY = -1
 """Key of an unused place in a hash table."""
@@ -108,9 +109,9 @@ def _build(codes, coords, order):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def brick_key(x, y, z):  # type: ignore[no-untyped-def]
     """Key of the brick that holds a cell."""
-    bx = (np.int64(x) >> 2) + _BRICK_OFFSET
-    by = (np.int64(y) >> 2) + _BRICK_OFFSET
-    bz = (np.int64(z) >> 2) + _BRICK_OFFSET
+    bx = (np.int64(x) >> 2) + BRICK_OFFSET
+    by = (np.int64(y) >> 2) + BRICK_OFFSET
+    bz = (np.int64(z) >> 2) + BRICK_OFFSET
     return (bx << 40) | (by << 20) | bz
 
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from topometric_ros.voxels.index import BRICK_OFFSET, EMPTY, brick_key, slot_of
 from topometric_ros.voxels.raycast import STEPS, ray_axis
 
-EMPTY = -1
 HITS, MISSES, HIT_AT, MISSED_AT, KEPT = range(5)
 """Columns of a cell's evidence: scans that hit it and looked through it, when last, and whether it
 was kept when the points were last taken."""
@@ -22,29 +22,6 @@ MOST = 255
 
 FULLEST = 4095
 """Points whose mean a cell keeps: the first."""
-
-_BRICK_OFFSET = 1 << 19
-_HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Fibonacci hashing
-
-
-@njit(cache=True, nogil=True)
-def slot_of(keys, key):  # type: ignore[no-untyped-def]
-    """Slot of a brick's key, or of the empty place where it would go."""
-    last = np.int64(len(keys) - 1)
-    slot = np.int64((np.uint64(key) * _HASH_FACTOR) >> np.uint64(32)) & last
-    while keys[slot] != key and keys[slot] != EMPTY:
-        slot = (slot + 1) & last
-    return slot
-
-
-@njit(cache=True, nogil=True)
-def brick_key(x, y, z):  # type: ignore[no-untyped-def]
-    """Key of the brick that holds a cell."""
-    return (
-        (((x >> 2) + _BRICK_OFFSET) << 40)
-        | (((y >> 2) + _BRICK_OFFSET) << 20)
-        | ((z >> 2) + _BRICK_OFFSET)
-    )
 
 
 @njit(cache=True, nogil=True)
@@ -194,9 +171,9 @@ def means(bricks, order, rows, sums, counts, evidence, cell, least, ratio, kept)
     low = (np.int64(1) << 20) - 1
     for k in range(len(order)):
         key = bricks[order[k]]
-        bx = ((key >> 40) - _BRICK_OFFSET) << 2
-        by = (((key >> 20) & low) - _BRICK_OFFSET) << 2
-        bz = ((key & low) - _BRICK_OFFSET) << 2
+        bx = ((key >> 40) - BRICK_OFFSET) << 2
+        by = (((key >> 20) & low) - BRICK_OFFSET) << 2
+        bz = ((key & low) - BRICK_OFFSET) << 2
         for place in range(64):
             row = rows[order[k], place]
             if row < 0:
