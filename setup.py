@@ -62,6 +62,7 @@ setup(
     extras_require={
         # Its wheels end at Python 3.12; without it the benchmark leaves that method out.
         "benchmark": ["kiss-matcher>=1.0; python_version < '3.13'"],
+        "gicp": ["small_gicp>=1.0"],
         "las": ["laspy[lazrs]>=2.5"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": [

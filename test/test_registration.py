@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from test.helpers import box_room, moved, yaw_transform
 from test.helpers_matching import (
@@ -65,6 +67,51 @@ def test_two_agents_are_registered_to_millimetres(noise: float, within: float) -
     assert shift < within
     assert turn < 0.1
     assert result.rmse < 0.03
+
+
+def tilted(source: Surface, T: NDArray[np.float64]) -> Surface:
+    """Return a surface in another frame: its points and normals moved by `T`."""
+    turn = T[:3, :3].T
+    return Surface(moved(source.points, T), source.normals @ turn, source.sided, source.spacing)
+
+
+@pytest.mark.parametrize("method", ["icp", "gicp", "axis_icp"])
+def test_a_tilt_is_found_where_it_is_to_be_estimated(method: str) -> None:
+    if method == "gicp":
+        pytest.importorskip("small_gicp")
+    a, b = maps(0.01)
+    tilt = np.eye(4)
+    tilt[:3, :3] = Rotation.from_rotvec(np.radians([2.0, 0.0, 0.0])).as_matrix()
+    T_true = tilt @ T_A_B
+    target = tilted(surface_of(a), tilt)
+    kept = RegistrationConfig()
+    held = register(surface_of(b), target, T_A_B, kept)
+    assert error_of(held.T_target_source, T_true, b.centres())[1] > 1.9
+    config = RegistrationConfig(method=method, axis=("1", "0", "0"))
+    result = register(surface_of(b), target, T_A_B, config)
+    shift, turn = error_of(result.T_target_source, T_true, b.centres())
+    assert shift < 0.03
+    assert turn < 0.2
+    assert np.linalg.eigvalsh(result.covariance).min() > 0
+    assert result.covariance[3, 3] < held.covariance[3, 3] / 4
+
+
+def test_features_find_a_pose_from_nowhere() -> None:
+    a, b = maps(0.01)
+    far = yaw_transform(2.0, (40.0, -9.0, 3.0))
+    config = RegistrationConfig(method="fpfh_ransac")
+    found = register(surface_of(b), surface_of(a), far, config)
+    shift, turn = error_of(found.T_target_source, T_A_B, b.centres())
+    assert shift < 0.02
+    assert turn < 0.1
+
+
+@pytest.mark.parametrize("axis", [("0", "0", "0"), ("0", "1"), ("up", "0", "0")])
+def test_an_axis_that_is_none_is_told(axis: tuple[str, ...]) -> None:
+    surface = surface_of(maps()[0])
+    config = RegistrationConfig(method="axis_icp", axis=axis)
+    with pytest.raises(ConfigurationError, match=r"registration\.axis: expected"):
+        register(surface, surface, np.eye(4), config)
 
 
 @settings(max_examples=3, deadline=None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Transform = NDArray[np.float64]
 
@@ -16,6 +17,15 @@ def yaw_pose(
     cosine, sine = np.cos(yaw), np.sin(yaw)
     T[:2, :2] = [[cosine, -sine], [sine, cosine]]
     T[:3, 3] = translation
+    return T
+
+
+def turned(rotation: NDArray[np.float64]) -> Transform:
+    """Return the (4, 4) transform that turns by a rotation vector (3,), rad, and moves nothing."""
+    if rotation[0] == 0.0 == rotation[1]:
+        return yaw_pose(float(rotation[2]), (0.0, 0.0, 0.0))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
     return T
 
 

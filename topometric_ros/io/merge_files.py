@@ -59,6 +59,7 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
         "confidence": float(alignment.confidence),
         "overlap": float(alignment.overlap),
         "rmse": float(alignment.rmse),
+        "covariance": matrix_rows(alignment.covariance),
         "matches": [
             [int(match.room_a), int(match.room_b), float(match.distance)]
             for match in alignment.matches
