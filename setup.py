@@ -78,6 +78,8 @@ setup(
             "topometric = topometric_ros.cli.main:main",
             "topometric-extractor = topometric_ros.nodes.extractor:main",
             "topometric-merger = topometric_ros.nodes.merger:main",
+            "topometric-managed-extractor = topometric_ros.nodes.managed:extractor",
+            "topometric-managed-merger = topometric_ros.nodes.managed:merger",
         ]
     },
     zip_safe=False,

@@ -47,6 +47,11 @@ def generate_launch_description() -> LaunchDescription:
                 description="debug, info, warn, error or fatal",
             ),
             DeclareLaunchArgument(
+                "managed",
+                default_value="false",
+                description="start the managed nodes, which wait for a lifecycle manager",
+            ),
+            DeclareLaunchArgument(
                 "fastdds_profile",
                 default_value=str(config / "fastdds_large_clouds.xml"),
                 description="Fast DDS profile, unless the environment names one; empty: none",
@@ -57,9 +62,9 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _processes(context: LaunchContext) -> list[Action]:
+    names = ("agents_file", "params_file", "use_sim_time", "log_level", "managed")
     value = {
-        name: LaunchConfiguration(name).perform(context)
-        for name in ("agents_file", "params_file", "use_sim_time", "log_level", "fastdds_profile")
+        name: LaunchConfiguration(name).perform(context) for name in (*names, "fastdds_profile")
     }
     common = ["--ros-args", "--log-level", value["log_level"]]
     common += ["-p", f"use_sim_time:={value['use_sim_time'].lower()}"]
@@ -69,10 +74,11 @@ def _processes(context: LaunchContext) -> list[Action]:
     actions: list[Action] = []
     if value["fastdds_profile"] and PROFILE_VARIABLE not in os.environ:
         actions.append(SetEnvironmentVariable(PROFILE_VARIABLE, value["fastdds_profile"]))
+    kind = "managed_" if value["managed"].lower() == "true" else ""
     actions += [
-        _node("extractor", common + extractor_arguments(fleet, agent)) for agent in fleet.agents
+        _node(f"{kind}extractor", common + extractor_arguments(fleet, agent)) for agent in fleet.agents
     ]
-    return [*actions, _node("merger", common + merger_arguments(fleet))]
+    return [*actions, _node(f"{kind}merger", common + merger_arguments(fleet))]
 
 
 def _node(executable: str, arguments: list[str]) -> Node:

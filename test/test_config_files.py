@@ -76,7 +76,7 @@ def test_the_launch_file_describes_every_argument() -> None:
     tree = ast.parse((ROOT / "launch" / "topometric.launch.py").read_text())
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     arguments = [c for c in calls if getattr(c.func, "id", "") == "DeclareLaunchArgument"]
-    assert len(arguments) == 5
+    assert len(arguments) == 6
     assert all("description" in {k.arg for k in call.keywords} for call in arguments)
 
 
@@ -96,6 +96,7 @@ def test_the_launch_file_starts_an_extractor_for_each_agent_and_a_merger() -> No
         "params_file": "",
         "use_sim_time": "false",
         "log_level": "info",
+        "managed": "false",
         "fastdds_profile": "",
     }
     actions = module._processes(context)

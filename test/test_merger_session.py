@@ -13,9 +13,13 @@ from test.helpers_sessions import flat_map
 from topometric_ros.alignment import Alignment, AlignmentStatus
 from topometric_ros.fusion.align import Prepared
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.runtime import merger_session
+from topometric_ros.fusion.merge import MOST_AGENTS
+from topometric_ros.io.bag_messages import message_classes
+from topometric_ros.runtime import merger_session, pair_aligner
+from topometric_ros.runtime.alignment_codec import alignments_to_message, offers_from_message
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_session import MergerSession
+from topometric_ros.runtime.merger_state import Known, version_of
 from topometric_ros.runtime.stability import steadier
 from topometric_ros.runtime.transforms import TransformError
 from topometric_ros.topometric_map import TopometricMap
@@ -188,3 +192,102 @@ def test_an_alignment_that_no_longer_holds_gives_way() -> None:
     )
     refused = Alignment(("a", "b"), AlignmentStatus.AMBIGUOUS, "two poses")
     assert steadier(wrong, 1e9, refused, one, two, config)[0] is refused
+
+
+def test_pairs_that_are_aligned_side_by_side_come_out_the_same() -> None:
+    results = []
+    for threads in (1, 3):
+        merger = MergerSession(MergeConfig(), ["a", "b", "c"], threads)
+        for index, agent in enumerate("abc"):
+            merger.add_map(flat_map(agent, index))
+        results.append(merger.merge())
+    one, three = results
+    assert [x.agents for x in three.alignments] == [("a", "b"), ("a", "c"), ("b", "c")]
+    for x, y in zip(one.alignments, three.alignments, strict=True):
+        assert (x.status, x.reason, x.score) == (y.status, y.reason, y.score)
+        np.testing.assert_array_equal(x.T_a_b, y.T_a_b)
+
+
+def test_a_pair_that_cannot_be_aligned_for_no_known_reason_costs_the_others_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = pair_aligner.align
+
+    def fails_with_c(a: Prepared, b: Prepared, *more: object) -> Alignment:
+        if "c" in (a.map.agent, b.map.agent):
+            raise IndexError("a fault")
+        return real(a, b, *more)
+
+    monkeypatch.setattr(pair_aligner, "align", fails_with_c)
+    merger = MergerSession(MergeConfig(check="none"), ["a", "b", "c"])
+    for index, agent in enumerate("abc"):
+        merger.add_map(flat_map(agent, index))
+    result = merger.merge()
+    assert [x.accepted for x in result.alignments] == [True, False, False]
+    assert "aligning them failed: IndexError('a fault')" in result.alignments[1].reason
+
+
+def offers_of(merger: MergerSession) -> list[Known]:
+    """Return what a late joiner would read on the topic `alignments`."""
+    assert merger.result is not None
+    message = alignments_to_message(merger.result, message_classes(), 1, merger.maps)
+    return offers_from_message(message)
+
+
+def test_a_late_joiner_takes_over_what_it_can_check_and_ends_with_the_same_map() -> None:
+    config = MergeConfig(check="none")
+    first = MergerSession(config, ["a", "b"])
+    late = MergerSession(config, ["b", "a"])
+    for merger in (first, late):
+        merger.add_map(flat_map("a"))
+        merger.add_map(flat_map("b", 1))
+    there_all_along = first.merge()
+    late.offer(offers_of(first))
+    told: list[str] = []
+    joined = late.merge(told.append)
+    assert not [text for text in told if text.startswith("aligning")]
+    np.testing.assert_allclose(
+        joined.alignments[0].T_a_b, np.linalg.inv(there_all_along.alignments[0].T_a_b), atol=1e-12
+    )
+
+
+def test_an_offer_of_other_maps_or_against_the_maps_is_not_taken() -> None:
+    merger = MergerSession(MergeConfig(), ["a", "b"])
+    a, b = flat_map("a"), flat_map("b", 1)
+    merger.add_map(a)
+    merger.add_map(b)
+    wrong = Alignment(
+        ("a", "b"), AlignmentStatus.ACCEPTED, "told so", yaw_transform(0.9, (5, 1, 0)), overlap=0.5
+    )
+    impossible = dataclasses.replace(wrong, T_a_b=np.zeros((4, 4)))
+    versions = (version_of(a), version_of(b))
+    older = ((a.session, a.sequence + 1), versions[1])
+    for offer in (Known(wrong, versions, 0.0), Known(impossible, versions, 0.0)):
+        merger.offer([offer])
+        assert merger.merge().alignments[0].reason != "told so"
+        merger.add_map(dataclasses.replace(a, sequence=merger.maps["a"].sequence + 1))
+    merger.offer([Known(wrong, older, 0.0)])
+    assert merger.merge().alignments[0].reason != "told so"
+
+
+def test_an_agent_that_is_forgotten_leaves_and_may_come_back() -> None:
+    merger = MergerSession(MergeConfig(), ["a", "b"])
+    merger.add_map(flat_map("a"))
+    merger.add_map(flat_map("b", 1))
+    merger.set_alignment("a", "b", np.eye(4))
+    merger.merge()
+    merger.forget("b")
+    result = merger.merge()
+    assert [agent.id for agent in result.agents] == ["a"]
+    assert merger.fixed() == {}
+    assert merger.add_map(flat_map("b", 1))
+    assert len(merger.merge().agents) == 2
+
+
+def test_there_is_room_for_so_many_agents_and_no_more() -> None:
+    merger = MergerSession(MergeConfig())
+    for number in range(MOST_AGENTS):
+        merger.add_map(dataclasses.replace(random_map(), agent=f"robot{number}"))
+    with pytest.raises(SessionError, match="at most 32 agents"):
+        merger.add_map(dataclasses.replace(random_map(), agent="one_more"))
+    assert len(merger.maps) == MOST_AGENTS

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from topometric_ros.topometric_map import TopometricMap
 
 MERGE_SCHEMA = "topometric-merge/1"
+BY_HAND = "set by hand"
+"""The reason of an alignment that an operator has fixed."""
 
 
 class AlignmentStatus(StrEnum):

@@ -21,6 +21,10 @@ ROOM_KINDS = ("unknown", "room", "corridor", "hall", "stairwell")
 OFFSET_STEPS = 4
 """A voxel's surface offset is kept in quarters of the voxel edge: finer ones cost most of a message
 and move no merge by more than some millimetres (docs/benchmarks.md)."""
+LARGEST_POSITION = 1e9
+"""m: no coordinate of a map is larger, so that sums and products of them stay finite."""
+CELL_EDGES = (1e-3, 100.0)
+"""m: the smallest and the largest edge of a voxel or of a raster's cell."""
 
 
 class MapError(TopometricError):
@@ -224,10 +228,12 @@ def _check_map(m: TopometricMap) -> None:
     """Raise MapError where the parts of a map contradict each other."""
     if m.schema != SCHEMA:
         raise MapError(f"unknown schema {m.schema!r}; this version reads {SCHEMA!r}")
-    if not (np.isfinite(m.voxel_size) and m.voxel_size > 0):
-        raise MapError(f"voxel_size: expected a positive length in m, got {m.voxel_size}")
-    if not np.isfinite(m.origin).all():
-        raise MapError(f"origin: expected finite metres, got {m.origin}")
+    if not CELL_EDGES[0] <= m.voxel_size <= CELL_EDGES[1]:
+        raise MapError(
+            f"voxel_size: expected {CELL_EDGES[0]:g} to {CELL_EDGES[1]:g} m, got {m.voxel_size}"
+        )
+    if not _believable(m.origin):
+        raise MapError(f"origin: expected metres up to {LARGEST_POSITION:g}, got {m.origin}")
     n = len(m.voxels)
     for name, dtype, shape in (
         ("voxels", np.int32, (n, 3)),
@@ -242,18 +248,27 @@ def _check_map(m: TopometricMap) -> None:
             raise MapError(
                 f"{name}: expected {np.dtype(dtype)} {shape}, got {array.dtype} {array.shape}"
             )
-    if not np.isfinite(m.viewpoints).all():
-        raise MapError("viewpoints must be finite")
+    if not _believable(m.viewpoints):
+        raise MapError(f"viewpoints must be finite and at most {LARGEST_POSITION:g} m")
     # Whoever uses a map inverts this, so one that is no rigid motion would fail far from here.
-    R = m.T_level_input[:3, :3]
-    off = float(np.abs(R @ R.T - np.eye(3)).max())
-    rigid = np.isfinite(m.T_level_input).all() and off < 1e-6 and np.linalg.det(R) > 0
-    if not (rigid and np.array_equal(m.T_level_input[3], (0, 0, 0, 1))):
+    if not (_believable(m.T_level_input) and _is_rigid(m.T_level_input)):
         raise MapError(f"T_level_input: expected a rigid motion, got {m.T_level_input.tolist()}")
     if n and (m.offsets.min() < -OFFSET_STEPS // 2 or m.offsets.max() >= OFFSET_STEPS // 2):
         raise MapError(f"offsets: expected -2..1, got {m.offsets.min()}..{m.offsets.max()}")
     _check_storeys(m.storeys)
     _check_graph(m)
+
+
+def _believable(values: object) -> bool:
+    """Whether all numbers are finite and none is larger than a position may be."""
+    # Also false for what is not a number.
+    return bool((np.abs(np.asarray(values, np.float64)) <= LARGEST_POSITION).all())
+
+
+def _is_rigid(T: NDArray[np.float64]) -> bool:
+    R = T[:3, :3]
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    return off < 1e-6 and np.linalg.det(R) > 0 and np.array_equal(T[3], (0, 0, 0, 1))
 
 
 def _check_storeys(storeys: tuple[Storey, ...]) -> None:
@@ -265,7 +280,8 @@ def _check_storeys(storeys: tuple[Storey, ...]) -> None:
         layers = storey.layers
         ceiling = 0.0 if storey.ceiling_z is None else storey.ceiling_z
         numbers = (storey.floor_z, ceiling, layers.cell, *layers.origin)
-        if not np.isfinite(numbers).all() or not layers.cell > 0:
+        edge = CELL_EDGES[0] <= layers.cell <= CELL_EDGES[1]
+        if not (_believable(numbers) and edge):
             raise MapError(
                 f"storey {storey.id}: expected finite heights and a raster, got {numbers}"
             )
@@ -288,7 +304,7 @@ def _check_graph(m: TopometricMap) -> None:
         if not set(passage.rooms) <= set(ids) or passage.rooms[0] == passage.rooms[1]:
             raise MapError(f"passage between rooms {passage.rooms}; known: {ids}")
         height = 0.0 if passage.height is None else passage.height
-        if not np.isfinite((*passage.position, passage.width, height)).all():
+        if not _believable((*passage.position, passage.width, height)):
             raise MapError(f"passage {passage.rooms}: position, width and height must be finite")
         if passage.kind not in PASSAGE_KINDS or not 0.0 <= passage.confidence <= 1.0:
             raise MapError(
@@ -308,10 +324,10 @@ def _check_graph(m: TopometricMap) -> None:
 def _check_room(room: Room) -> None:
     """Raise MapError where a room's numbers cannot be."""
     numbers = (*room.centroid, *np.ravel(room.bounds), room.area)
-    if not np.isfinite(numbers).all():
+    if not _believable(numbers):
         raise MapError(f"room {room.id}: centroid, bounds and area must be finite")
     measured = (room.floor_area, room.volume or 0.0, room.frontier, *(room.centre or ()))
-    if not np.isfinite(measured).all():
+    if not np.isfinite(measured).all() or not _believable(room.centre or ()):
         raise MapError(f"room {room.id}: expected finite attributes, got {measured}")
     if not 0.0 <= room.completeness <= 1.0 or not 0.0 <= room.kind_confidence <= 1.0:
         raise MapError(

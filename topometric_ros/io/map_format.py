@@ -15,6 +15,7 @@ skipped, so that fields can be added; a version that it does not know is refused
 from __future__ import annotations
 
 import json
+import math
 import struct
 import zlib
 from collections.abc import Mapping
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.packing import (
+    MAXIMUM_ITEMS,
     PackingError,
     pack_array,
     pack_bits,
@@ -42,6 +44,8 @@ VERSION = 2
 """1 kept mean points in sixteenths of a voxel, 2 keeps them in quarters."""
 _PREFIX = struct.Struct("<4sHII")
 _LARGEST_HEADER = 1 << 26
+_MOST_NUMBERS = 8 * MAXIMUM_ITEMS
+"""In all sections together: twice those of the largest map that a message may hold."""
 _TYPES = ("int8", "int32", "uint32", "float32", "float64")
 
 
@@ -125,6 +129,9 @@ def _read_sections(
     table: list[Mapping[str, Any]], data: bytes, start: int, source: str
 ) -> dict[str, NDArray[Any]]:
     arrays = {}
+    numbers = sum(math.prod(max(0, int(n)) for n in entry["shape"]) for entry in table)
+    if numbers > _MOST_NUMBERS:
+        raise MapFileError(f"{source}: {numbers} numbers are announced, at most {_MOST_NUMBERS}")
     for entry in table:
         size = int(entry["bytes"])
         payload = data[start : start + max(0, size)]

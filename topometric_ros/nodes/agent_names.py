@@ -14,15 +14,13 @@ def parse_agents(entries: Sequence[str]) -> dict[str, str]:
     Raises
     ------
     ConfigurationError
-        The list is empty, or an agent or a namespace is empty or named twice.
+        An agent or a namespace is empty or named twice.
 
     Examples
     --------
     >>> parse_agents(["/robot1", "left=/fleet/robot2"])
     {'robot1': '/robot1', 'left': '/fleet/robot2'}
     """
-    if not entries:
-        raise ConfigurationError('agents: name at least one, as in "[/robot1, /robot2]"')
     agents: dict[str, str] = {}
     for entry in entries:
         before, separator, after = entry.partition("=")

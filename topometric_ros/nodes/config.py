@@ -86,7 +86,45 @@ class MergerNodeConfig:
     """The merger's agents, frames and pace."""
 
     agents: tuple[str, ...] = parameter(
-        (), "Namespaces of the agents, in order; the first that has a map anchors the global frame."
+        (),
+        "Namespaces of the agents, in order; the first that has a map anchors the global frame. "
+        "Empty: the agents that are found.",
+    )
+    discover: bool = parameter(
+        False,
+        "Listen as well to agents that are not listed: to every topic of a TopometricMap that is "
+        "called `topometric_map`. They follow the listed ones in the order of their first maps.",
+    )
+    stale_after: float = parameter(
+        15.0,
+        "An agent whose extractor has been gone for so long is marked stale; its map is kept.",
+        unit="s",
+        minimum=1.0,
+        maximum=1e6,
+    )
+    forget_after: float = parameter(
+        0.0,
+        "An agent whose extractor has been gone for so long leaves the global map; 0: never.",
+        unit="s",
+        minimum=0.0,
+        maximum=1e7,
+    )
+    adopt: bool = parameter(
+        True,
+        "Take over, after a check against the maps, the alignments that another merger has "
+        "latched on `alignments`: one that joins late need not find them all again.",
+    )
+    max_voxels: int = parameter(
+        16_777_216,
+        "Maps with more voxels, or raster cells in all their storeys, are refused unopened.",
+        minimum=1000,
+        maximum=67_108_864,
+    )
+    max_threads: int = parameter(
+        2,
+        "Pairs of maps that are aligned at the same time, each by a thread; 1 to spare the CPU.",
+        minimum=1,
+        maximum=64,
     )
     preset: str = parameter(
         "default", "Defaults of all parameters of the merging.", choices=PRESETS

@@ -39,7 +39,6 @@ _TRANSFORMS_WAITING = 100_000
 _PACE_S = 0.2
 _REPORT_S = 1.0
 _SETTLE_S = 1.0
-_END_S = 3.0
 
 _CHANGEABLE_OF_NODE = ("max_rate", "min_change", "tf_timeout")
 _FIXED_OF_EXTRACTION = ("voxel_size", "level.", "scans.")
@@ -56,13 +55,16 @@ class Extractor(TopometricNode):
     def __init__(self) -> None:
         super().__init__("extractor", automatically_declare_parameters_from_overrides=True)
         log_to(self)
-        self._own, extraction = self._declare_parameters()
-        self._wanted = extraction
+        self._own, self._wanted = self._declare_parameters()
+        self._classes = message_classes()
+        self.working = threading.Lock()
+
+    def _set_up(self) -> None:
         agent = self._own.agent or agent_of_namespace(self.get_namespace()) or "agent"
         matching = dataclasses.replace(
             matching_preset(self._own.preset), descriptors=self._own.matching.descriptors
         )
-        session = ExtractorSession(agent, extraction, matching, lambda: uuid.uuid4().hex[:12])
+        session = ExtractorSession(agent, self._wanted, matching, lambda: uuid.uuid4().hex[:12])
         self.input = AgentInput(
             session,
             mode=self._own.mode,
@@ -71,9 +73,7 @@ class Extractor(TopometricNode):
             waiting=self._own.scan_queue,
             sensor_frame=self._own.sensor_frame,
         )
-        self._classes = message_classes()
         self.report = ExtractorReport()
-        self.working = threading.Lock()
         self._extracted: tuple[str, int, int] | None = None
         self._last_extraction = -float("inf")
         self._first_cloud: float | None = None
@@ -81,8 +81,10 @@ class Extractor(TopometricNode):
         self._transforms: Inbox[tuple[TFMessage, bool]] = Inbox(_TRANSFORMS_WAITING)
         if self._own.mode == "map":
             self.clouds.capacity = 1
-        self._worker = Worker(self._work, self.failed)
-        self._connect()
+        self._maps = self.create_publisher(MapMessage, "topometric_map", qos.SNAPSHOT)
+        self._rooms = self.create_publisher(PointCloud2, "rooms", qos.SNAPSHOT)
+        self._markers = self.create_publisher(MarkerArray, "topometric_markers", qos.SNAPSHOT)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
         self.get_logger().info(f"extractor of {agent}: session {session.session}")
 
     def _declare_parameters(self) -> tuple[ExtractorNodeConfig, ExtractionConfig]:
@@ -98,20 +100,16 @@ class Extractor(TopometricNode):
         parameters.on_change(self, configs, self._change)
         return configs
 
-    def _connect(self) -> None:
-        self._maps = self.create_publisher(MapMessage, "topometric_map", qos.SNAPSHOT)
-        self._rooms = self.create_publisher(PointCloud2, "rooms", qos.SNAPSHOT)
-        self._markers = self.create_publisher(MarkerArray, "topometric_markers", qos.SNAPSHOT)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+    def _begin(self) -> None:
+        self._worker = Worker(self._work, self.failed)
         serve(self)
         tf.listen(self, self._on_transforms)
         self._cloud = CloudSubscription(self, self._own.cloud_qos, self._on_cloud)
         self.every(_PACE_S, self._tick)
         self.every(_REPORT_S, self._publish_diagnostics)
 
-    def close(self) -> bool:
-        """Stop working; return False where an extraction would not end in time."""
-        return self._worker.stop(_END_S)
+    def _stop_work(self, limit_s: float) -> bool:
+        return self._worker.stop(limit_s)
 
     def _change(self, configs: parameters.Configs) -> None:
         self._own, self._wanted = configs

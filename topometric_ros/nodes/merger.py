@@ -26,25 +26,32 @@ from topometric_ros.nodes.config import MergerNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
 from topometric_ros.nodes.grids import GridError, storey_grid
 from topometric_ros.nodes.markers import map_markers
-from topometric_ros.nodes.merger_report import InputReport, MergerReport
+from topometric_ros.nodes.merger_report import MergerReport
 from topometric_ros.nodes.merger_services import serve
 from topometric_ros.nodes.merger_state import StateKeeper
 from topometric_ros.nodes.messages import message_classes
+from topometric_ros.nodes.roster import Roster
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
 from topometric_ros.nodes.worker import Inbox, Worker
-from topometric_ros.runtime.alignment_codec import alignments_to_message
+from topometric_ros.runtime.alignment_codec import alignments_to_message, offers_from_message
 from topometric_ros.runtime.cloud_message import map_cloud
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.frames import published_frames, transforms_message
 from topometric_ros.runtime.merger_session import MergerSession
-from topometric_ros.runtime.message_codec import map_from_message, map_to_message
+from topometric_ros.runtime.message_codec import ReceivedMap, map_from_message, map_to_message
 from topometric_ros.topometric_map import TopometricMap
 
 _PACE_S = 0.2
 _REPORT_S = 1.0
-_END_S = 3.0
 
-_CHANGEABLE_OF_NODE = ("max_rate", "grid_storey")
+_CHANGEABLE_OF_NODE = (
+    "max_rate",
+    "grid_storey",
+    "stale_after",
+    "forget_after",
+    "max_voxels",
+    "max_threads",
+)
 
 
 class Merger(TopometricNode):
@@ -58,24 +65,36 @@ class Merger(TopometricNode):
         super().__init__("merger", automatically_declare_parameters_from_overrides=True)
         log_to(self)
         self._own, self._wanted = self._declare_parameters()
-        self.agents = parse_agents(self._own.agents)
-        self.session = MergerSession(self._wanted, tuple(self.agents))
+        self._listed = parse_agents(self._own.agents)
         self._classes = message_classes()
-        self.inboxes: dict[str, Inbox[MapMessage]] = {}
-        self.report = MergerReport()
         self.working = threading.Lock()
+
+    def _set_up(self) -> None:
+        discover = self._own.discover or not self._listed
+        self.roster = Roster(self, self._listed, discover)
+        self.report = MergerReport(self.roster.reports)
+        self.session = MergerSession(self._wanted, tuple(self._listed), self._own.max_threads)
         self.fresh = False
         self._last_merge = -float("inf")
         self._grid_failure = ""
         self._placed: dict[str, NDArray[np.float64]] = {}
         self._frames: dict[str, str] = {}
-        self._worker = Worker(self._work, self.failed)
+        self._stale: tuple[str, ...] = ()
+        self._others: Inbox[AlignmentArray] = Inbox(1)
         self._keeper = StateKeeper(self._own.state_file, self.get_logger())
         self._keeper.restore(self.session)
         self.fresh = bool(self.session.maps)
-        self._connect()
-        serve(self)
-        self.get_logger().info(f"merger of {', '.join(self.agents)}")
+        for topic in self.session.sources.values():
+            self.roster.recall(topic)
+        self._maps = self.create_publisher(MapMessage, "global_map", qos.SNAPSHOT)
+        self._cloud = self.create_publisher(PointCloud2, "global_cloud", qos.SNAPSHOT)
+        self._grid = self.create_publisher(OccupancyGrid, "global_grid", qos.SNAPSHOT)
+        self._alignments = self.create_publisher(AlignmentArray, "alignments", qos.SNAPSHOT)
+        self._markers = self.create_publisher(MarkerArray, "global_markers", qos.SNAPSHOT)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+        self._transforms = tf.create_publisher(self)
+        listed = ", ".join(self._listed) or "every agent that is found"
+        self.get_logger().info(f"merger of {listed}")
 
     def _declare_parameters(self) -> tuple[MergerNodeConfig, MergeConfig]:
         preset = parameters.override(self, "preset", "default")
@@ -86,56 +105,53 @@ class Merger(TopometricNode):
         parameters.on_change(self, configs, self._change)
         return configs
 
-    def _connect(self) -> None:
-        for agent, namespace in self.agents.items():
-            topic = f"{namespace}/topometric_map"
-            self.inboxes[agent] = Inbox(1)
-            self.report.inputs[agent] = InputReport(self.resolve_topic_name(topic))
-            receive = self.inboxes[agent].put
-            self.create_subscription(MapMessage, topic, receive, qos.SNAPSHOT)
-        self._maps = self.create_publisher(MapMessage, "global_map", qos.SNAPSHOT)
-        self._cloud = self.create_publisher(PointCloud2, "global_cloud", qos.SNAPSHOT)
-        self._grid = self.create_publisher(OccupancyGrid, "global_grid", qos.SNAPSHOT)
-        self._alignments = self.create_publisher(AlignmentArray, "alignments", qos.SNAPSHOT)
-        self._markers = self.create_publisher(MarkerArray, "global_markers", qos.SNAPSHOT)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
-        self._transforms = tf.create_publisher(self)
+    def _begin(self) -> None:
+        self._worker = Worker(self._work, self.failed)
+        if self._own.adopt:
+            name = self.resolve_topic_name("alignments")
+            self.create_subscription(AlignmentArray, name, self._others.put, qos.SNAPSHOT)
+        self.roster.listen()
+        serve(self)
         self.every(_PACE_S, self._tick)
         self.create_timer(1.0 / self._own.tf_rate, self._publish_transforms)
-        self.every(_REPORT_S, self._publish_diagnostics)
+        self.every(_REPORT_S, self._look)
 
-    def close(self) -> bool:
-        """Stop working; return False where a merge would not end in time."""
-        return self._worker.stop(_END_S)
+    def _stop_work(self, limit_s: float) -> bool:
+        return self._worker.stop(limit_s)
 
     def _change(self, configs: parameters.Configs) -> None:
         self._own, self._wanted = configs
 
     def _tick(self) -> None:
-        if self.fresh or any(map(len, self.inboxes.values())):
+        if self.fresh or any(map(len, self.roster.inboxes.values())):
             self._worker.wake()
 
     def _work(self) -> None:
         """Take in what has arrived and, when it is time, merge and publish."""
         with self.working:
             self.take_in()
+            self._mark_gone()
             due = time.monotonic() - self._last_merge >= 1.0 / self._own.max_rate
             if self.fresh and due:
                 self.merge()
 
     def take_in(self) -> None:
-        for agent, inbox in self.inboxes.items():
+        """Take the maps that have arrived, and what another merger says of them."""
+        for agent, inbox in list(self.roster.inboxes.items()):
             for message in inbox.take_all():
                 self._take_map(agent, message)
+        for message in self._others.take_all():
+            self._take_alignments(message)
         self.place()
 
     def _take_map(self, agent: str, message: MapMessage) -> None:
         """Give a map to the session, or refuse it with one line in the log."""
-        entry = self.report.inputs[agent]
+        entry = self.roster.reports[agent]
         entry.received += 1
         try:
-            m = map_from_message(message).map
-            self._require_agent(agent, m)
+            received = map_from_message(message, self._own.max_voxels)
+            m = received.map
+            self._require_agent(agent, received)
             is_new = self.session.add_map(m, entry.topic)
         except TopometricError as error:
             if entry.refuse(str(error)):
@@ -146,20 +162,29 @@ class Merger(TopometricNode):
             entry.newest, entry.arrived = m, self.get_clock().now().nanoseconds
             self.fresh = True
 
-    def _require_agent(self, agent: str, m: TopometricMap) -> None:
-        """Refuse a map that claims to be of an agent whose maps come on another topic."""
+    def _take_alignments(self, message: AlignmentArray) -> None:
+        try:
+            self.session.offer(offers_from_message(message))
+        except TopometricError as error:
+            self.get_logger().warning(f"alignments of another merger are not used: {error}")
+
+    def _require_agent(self, agent: str, received: ReceivedMap) -> None:
+        """Refuse a map of a whole fleet, or of an agent whose maps come on another topic."""
+        m = received.map
+        if received.observers:
+            raise SessionError(f"a global map, of {', '.join(received.observers)}")
         if m.agent == agent:
             return
-        entries = self.report.inputs.items()
+        entries = self.roster.reports.items()
         heard = {entry.newest.agent for name, entry in entries if name != agent and entry.newest}
-        if m.agent in heard or m.agent in self.agents:
+        if m.agent in heard or m.agent in self.roster.listed:
             raise SessionError(f"a map of agent {m.agent!r}, whose maps come on another topic")
 
     def merge(self) -> None:
         """Merge and publish; raises what the session raises."""
         self.fresh = False
         self._last_merge = time.monotonic()
-        self.session.config = self._wanted
+        self.session.config, self.session.threads = self._wanted, self._own.max_threads
         former = self.report.result.alignments if self.report.result else ()
         said = {(x.agents, x.status, x.reason) for x in former}
         result = self.session.merge()
@@ -176,7 +201,6 @@ class Merger(TopometricNode):
         self.report.unsaved = self._keeper.keep(self.session)
 
     def _publish(self, result: MergeResult) -> None:
-        now = self.get_clock().now()
         fused = result.global_map
         observers = tuple(agent.id for agent in result.agents)
         stamp = Time(nanoseconds=fused.map.stamp).to_msg()
@@ -184,11 +208,13 @@ class Merger(TopometricNode):
         self._cloud.publish(map_cloud(fused.map, self._classes, fused.map.stamp, fused.agents))
         self._markers.publish(map_markers(fused.map, stamp))
         self._publish_grid(fused.map)
-        self._alignments.publish(
-            alignments_to_message(
-                result, self._classes, now.nanoseconds, self.session.maps, self.session.stale
-            )
-        )
+        self._publish_alignments(result)
+
+    def _publish_alignments(self, result: MergeResult) -> None:
+        now, maps = self.get_clock().now().nanoseconds, self.session.maps
+        stale = {*self.session.stale, *self._stale}
+        message = alignments_to_message(result, self._classes, now, maps, sorted(stale))
+        self._alignments.publish(message)
 
     def _publish_grid(self, m: TopometricMap) -> None:
         try:
@@ -228,6 +254,36 @@ class Merger(TopometricNode):
         if text != self.report.failure:
             self.get_logger().error(f"merging failed: {text}")
         self.report.failure = text
+
+    def _look(self) -> None:
+        """See who is there, mark or forget who is gone, and tell the operator."""
+        self.roster.look()
+        self.report.gone = self.roster.gone(self._own.stale_after)
+        stale = tuple(sorted(a for a in self.report.gone if a in self.session.maps))
+        if stale != self._stale or self._overdue():
+            self._worker.wake()
+        self._publish_diagnostics()
+
+    def _overdue(self) -> list[str]:
+        """Return the agents that have been gone for so long that they are to be forgotten."""
+        after = self._own.forget_after
+        gone = self.roster.gone(after) if after else {}
+        return [agent for agent in gone if agent in self.session.maps]
+
+    def _mark_gone(self) -> None:
+        """Forget who has been gone too long; say of the others in `alignments` that they are."""
+        for agent in self._overdue():
+            self.get_logger().warning(f"{agent}: gone for {self._own.forget_after:g} s, forgotten")
+            self.session.forget(agent)
+            self.fresh = bool(self.session.maps)
+        stale = tuple(sorted(a for a in self.report.gone if a in self.session.maps))
+        for agent in sorted({*stale} ^ {*self._stale}):
+            what = "its extractor is gone" if agent in stale else "its extractor is there again"
+            self.get_logger().warning(f"{agent}: {what}")
+        if stale != self._stale:
+            self._stale = stale
+            if self.report.result is not None and not self.fresh:
+                self._publish_alignments(self.report.result)
 
     def _publish_diagnostics(self) -> None:
         now = self.get_clock().now()

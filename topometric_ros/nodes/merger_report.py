@@ -54,14 +54,17 @@ class MergerReport:
     failure: str = ""
     unsaved: str = ""
     """Why the state could not be written, if so."""
+    gone: dict[str, float] = field(default_factory=dict)
+    """For how long (s) the extractors of agents have been gone that are stale."""
 
     def statuses(self, node: str, now: int) -> list[Status]:
         """Return the statuses of agents and alignments for `/diagnostics`; `now` in ns."""
         placements = {p.id: p for p in self.result.agents} if self.result else {}
         result = [self._merge(node)]
-        for entry in self.inputs.values():
-            agent = entry.newest.agent if entry.newest else ""
-            result.append(_agent(node, entry, placements.get(agent), now))
+        for name, entry in self.inputs.items():
+            agent = entry.newest.agent if entry.newest else name
+            placement, gone = placements.get(agent), self.gone.get(agent)
+            result.append(_agent(node, entry, placement, now, gone))
         alignments = self.result.alignments if self.result else ()
         return result + [_alignment(node, alignment) for alignment in alignments]
 
@@ -81,7 +84,9 @@ class MergerReport:
         return Status(f"{node}: merge", Level.OK if complete else Level.WARN, text, values)
 
 
-def _agent(node: str, entry: InputReport, placement: AgentPlacement | None, now: int) -> Status:
+def _agent(
+    node: str, entry: InputReport, placement: AgentPlacement | None, now: int, gone: float | None
+) -> Status:
     name = f"{node}: agent {entry.topic}"
     values: dict[str, object] = {"received": entry.received, "refused": entry.refused}
     m = entry.newest
@@ -98,7 +103,11 @@ def _agent(node: str, entry: InputReport, placement: AgentPlacement | None, now:
     if entry.refusal:
         return Status(name, Level.ERROR, f"last map refused: {entry.refusal}", values)
     if m is None:
-        return Status(name, Level.WARN, "no map yet", values)
+        text = "no map yet" if gone is None else "no map yet: nobody publishes the topic"
+        return Status(name, Level.WARN, text, values)
+    if gone is not None:
+        text = f"its extractor has been gone for {gone:.0f} s; its map is kept"
+        return Status(name, Level.STALE, text, values)
     if placement is None:
         return Status(name, Level.WARN, "not merged yet", values)
     known = placement.status is not AgentStatus.UNALIGNED

@@ -10,7 +10,7 @@ from topometric_msgs.srv import LoadMap, MergeNow, RemoveAlignment, Reset, SaveM
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.map_files import load_map, save_map
-from topometric_ros.nodes.merger_report import InputReport, MergerReport
+from topometric_ros.nodes.merger_report import MergerReport
 from topometric_ros.nodes.services import computed, offer, written
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.transforms import TransformError
@@ -56,12 +56,10 @@ class _MergerServices:
 
     def reset(self, _request: Any, response: Any) -> Any:
         with self._node.working:
-            for inbox in self._node.inboxes.values():
-                inbox.take_all()
+            self._node.roster.clear()
             self._node.session.reset()
             self._node.fresh = False
-            inputs = {agent: InputReport(x.topic) for agent, x in self._node.report.inputs.items()}
-            self._node.report = MergerReport(inputs)
+            self._node.report = MergerReport(self._node.roster.reports)
             self._node.place()
             self._node.remember()
         response.code, response.message = response.SUCCESS, "all maps and alignments forgotten"
@@ -89,9 +87,10 @@ class _MergerServices:
             response.message = str(error)
             return response
         m = dataclasses.replace(m, agent=request.agent or m.agent)
-        if m.agent not in self._node.agents:
+        roster = self._node.roster
+        if not roster.admits(m.agent):
             response.code = response.UNKNOWN_AGENT
-            response.message = f"no agent {m.agent!r}; known: {', '.join(self._node.agents)}"
+            response.message = f"no agent {m.agent!r}; known: {', '.join(roster.reports)}"
             return response
         with self._node.working:
             try:
@@ -99,8 +98,8 @@ class _MergerServices:
             except TopometricError as error:
                 response.code, response.message = response.FAILED, str(error)
                 return response
-            self._node.report.inputs[m.agent].newest = m
-            self._node.report.inputs[m.agent].arrived = self._node.get_clock().now().nanoseconds
+            entry = roster.report_of(m.agent, request.path)
+            entry.newest, entry.arrived = m, self._node.get_clock().now().nanoseconds
         response.code, response.agent = response.SUCCESS, m.agent
         response.message = f"map {m.sequence} of {m.agent}: {len(m.rooms)} rooms"
         return response

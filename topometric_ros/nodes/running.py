@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -22,12 +23,65 @@ logger = logging.getLogger(__name__)
 
 BAD_INPUT = 2
 
+END_S = 3.0
+"""How long a process that is told to end waits for what is being computed."""
+
 _LOOK_S = 0.2
 _CALLBACKS_S = 2.0
 
 
 class TopometricNode(Node):
-    """A node that works on a thread of its own and can end it."""
+    """A node that works on a thread of its own, can end that, and can begin again.
+
+    Made, it has its parameters only. :meth:`configure` makes its state and its publishers;
+    :meth:`activate` begins to listen, to work and to answer. Plain nodes do both at the start,
+    managed ones when they are told to (:mod:`topometric_ros.nodes.managed`).
+    """
+
+    _publishers_before: frozenset[Any] = frozenset()
+    _listening_before: frozenset[Any] = frozenset()
+    _active = False
+
+    def _set_up(self) -> None:
+        """Make the state and the publishers."""
+        raise NotImplementedError
+
+    def _begin(self) -> None:
+        """Make the worker, the subscriptions, services and timers."""
+        raise NotImplementedError
+
+    def _stop_work(self, limit_s: float) -> bool:
+        """Stop working; return False where the work could not be ended in time."""
+        raise NotImplementedError
+
+    def configure(self) -> None:
+        """Make the state and the publishers; what they latch is there from the first message on."""
+        self._publishers_before = frozenset(self.publishers)
+        self._set_up()
+
+    def activate(self) -> None:
+        """Begin to listen, to work and to answer; subscribing brings what others have latched."""
+        self._listening_before = frozenset(self._listening())
+        self._begin()
+        self._active = True
+
+    def deactivate(self, limit_s: float = END_S) -> bool:
+        """Stop that again; return False where the work could not be ended in time."""
+        if not self._active:
+            return True
+        self._active = False
+        destroy = (self.destroy_subscription, self.destroy_timer, self.destroy_service)
+        for entity in [e for e in self._listening() if e not in self._listening_before]:
+            any(kind(entity) for kind in destroy)
+        return self._stop_work(limit_s)
+
+    def cleanup(self) -> None:
+        """Take the publishers away, and what they had latched with them; parameters stay."""
+        for publisher in [p for p in self.publishers if p not in self._publishers_before]:
+            self.destroy_publisher(publisher)
+
+    def _listening(self) -> list[Any]:
+        return [*self.subscriptions, *self.timers, *self.services]
 
     def every(self, seconds: float, callback: Callable[[], None]) -> None:
         """Call something at a fixed pace of true time.
@@ -37,13 +91,16 @@ class TopometricNode(Node):
         """
         self.create_timer(seconds, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def close(self) -> bool:
-        """Stop working; return False where the work could not be ended in time."""
-        raise NotImplementedError
 
-
-def run(make_node: Callable[[], TopometricNode], arguments: Sequence[str] | None) -> int:
+def run(
+    make_node: Callable[[], TopometricNode],
+    arguments: Sequence[str] | None,
+    *,
+    managed: bool = False,
+) -> int:
     """Spin a node until SIGINT or SIGTERM; return the process's exit status.
+
+    A managed one waits to be configured and activated; any other one begins at once.
 
     Zero after a signal, two with one line in the log where the node refuses its parameters.
 
@@ -61,6 +118,9 @@ def run(make_node: Callable[[], TopometricNode], arguments: Sequence[str] | None
     executor = MultiThreadedExecutor(num_threads=2)
     try:
         node = make_node()
+        if not managed:
+            node.configure()
+            node.activate()
     except TopometricError as error:
         rclpy.logging.get_logger("topometric_ros").fatal(str(error))
         return BAD_INPUT
@@ -81,7 +141,7 @@ def spin(executor: Executor, told_to_end: threading.Event) -> None:
 
 def _end(node: TopometricNode, executor: MultiThreadedExecutor) -> None:
     """Take the node down from the top: the worker, the callbacks, then the middleware."""
-    ended = node.close() and _join(executor)
+    ended = node.deactivate() and _join(executor)
     executor.shutdown()
     if not ended:
         # A computation that is still running would be torn down inside compiled code.

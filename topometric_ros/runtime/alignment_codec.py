@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from topometric_ros.alignment import (
+    BY_HAND,
     MERGE_SCHEMA,
     AgentPlacement,
     AgentStatus,
@@ -19,6 +20,7 @@ from topometric_ros.alignment import (
     MergeResult,
     RoomMatch,
 )
+from topometric_ros.runtime.merger_state import Known
 from topometric_ros.runtime.message_codec import CodecError, header, matrix_field, matrix_from
 from topometric_ros.topometric_map import TopometricMap
 
@@ -81,6 +83,27 @@ def alignments_from_message(message: Any) -> ReceivedAlignments:
         alignments=tuple(_alignment(alignment) for alignment in message.alignments),
         warnings=tuple(map(str, message.warnings)),
     )
+
+
+def offers_from_message(message: Any) -> list[Known]:
+    """Return what another merger found and of which maps, for those that it did not withdraw.
+
+    What it set by hand is its own operator's word and not offered.
+
+    Raises
+    ------
+    CodecError
+        The message cannot be right.
+    """
+    received = alignments_from_message(message)
+    versions = {str(a.id): (str(a.session), int(a.sequence)) for a in message.agents}
+    return [
+        Known(x, (versions[x.agents[0]], versions[x.agents[1]]), 0.0)
+        for x in received.alignments
+        if set(x.agents) <= set(versions)
+        and x.status is not AlignmentStatus.WITHDRAWN
+        and x.reason != BY_HAND
+    ]
 
 
 def _placement_message(

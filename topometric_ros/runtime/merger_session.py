@@ -14,18 +14,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.alignment import (
-    Alignment,
-    AlignmentStatus,
-    MergeResult,
-)
-from topometric_ros.fusion.align import align
+from topometric_ros.alignment import BY_HAND, Alignment, AlignmentStatus, MergeResult
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.fusion.merge import merge
-from topometric_ros.fusion.prepared import Prepared
+from topometric_ros.fusion.merge import MOST_AGENTS, merge
 from topometric_ros.runtime.extractor_session import SessionError
-from topometric_ros.runtime.merger_state import Known, MergerState, Version
-from topometric_ros.runtime.stability import steadier, support
+from topometric_ros.runtime.merger_state import Known, MergerState, Version, version_of
+from topometric_ros.runtime.offers import Offers
+from topometric_ros.runtime.pair_aligner import PairAligner
+from topometric_ros.runtime.stability import steadier
 from topometric_ros.runtime.transforms import check_rigid
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
@@ -43,10 +39,12 @@ class MergerSession:
     config : MergeConfig
     agents : ids in the order of the result, the first with a map is the anchor; agents that are not
         named come after these in the order in which their maps arrive
+    threads : pairs that are aligned at the same time; the result does not depend on it
     """
 
-    def __init__(self, config: MergeConfig, agents: Sequence[str] = ()) -> None:
+    def __init__(self, config: MergeConfig, agents: Sequence[str] = (), threads: int = 1) -> None:
         self.config = config
+        self.threads = threads
         self._order = list(agents)
         self.reset()
 
@@ -61,7 +59,8 @@ class MergerSession:
         self._ended: dict[str, set[str]] = {}
         self._known: dict[Pair, Known] = {}
         self._fixed: dict[Pair, Alignment] = {}
-        self._prepared: dict[str, Prepared] = {}
+        self._aligner = PairAligner()
+        self._offers = Offers()
         self._refused: dict[Pair, tuple[Version, Version]] = {}
 
     @property
@@ -80,8 +79,10 @@ class MergerSession:
         Raises
         ------
         SessionError
-            The map belongs to a session that has ended.
+            The map belongs to a session that has ended, or to one agent too many.
         """
+        if m.agent not in self.maps and len(self.maps) >= MOST_AGENTS:
+            raise SessionError(f"{m.agent}: at most {MOST_AGENTS} agents can be merged")
         if m.session in self._ended.get(m.agent, ()):
             raise SessionError(f"{m.agent}: a map of session {m.session!r}, which has ended")
         self.sources[m.agent] = source or self.sources.get(m.agent, m.agent)
@@ -118,9 +119,8 @@ class MergerSession:
         watch = Stopwatch()
         self._take_over(watch, progress)
         order = [agent for agent in self._order if agent in self.maps]
-        for a, b in itertools.combinations(order, 2):
-            if self._fixed_for((a, b)) is None:
-                self._align_again(self.maps[a], self.maps[b], watch, progress)
+        pairs = [(self.maps[a], self.maps[b]) for a, b in itertools.combinations(order, 2)]
+        self._align_again([pair for pair in pairs if self._is_due(*pair)], watch, progress)
         known = {pair: entry.alignment for pair, entry in self._known.items()}
         result = merge(
             [self.maps[agent] for agent in order],
@@ -168,7 +168,7 @@ class MergerSession:
         self._fixed[a, b] = Alignment(
             agents=(a, b),
             status=AlignmentStatus.ACCEPTED,
-            reason="set by hand",
+            reason=BY_HAND,
             T_a_b=T_a_b,
             confidence=1.0,
         )
@@ -211,6 +211,23 @@ class MergerSession:
         self._known = {entry.alignment.agents: entry for entry in state.known}
         self._fixed = {alignment.agents: alignment for alignment in state.fixed}
 
+    def forget(self, agent: str) -> None:
+        """Take an agent out of the result; it may come back with any map."""
+        for held in (self.maps, self._newer_session, self.sources, self._ended):
+            held.pop(agent, None)
+        self._known = {p: entry for p, entry in self._known.items() if agent not in p}
+        self._fixed = {p: x for p, x in self._fixed.items() if agent not in p}
+        self._refused = {p: v for p, v in self._refused.items() if agent not in p}
+        self._aligner.forget(agent)
+
+    def offer(self, offers: Sequence[Known]) -> None:
+        """Take note of what another merger has found.
+
+        It is used for pairs that were not aligned here yet, where it is of just the maps that are
+        held and where an accepted transform passes the gates on them.
+        """
+        self._offers.take(offers)
+
     def _require_pair(self, a: str, b: str) -> None:
         for agent in (a, b):
             if agent not in self._order:
@@ -245,40 +262,46 @@ class MergerSession:
             if other == agent:
                 continue
             a, b = self._in_order(new, self.maps[other])
-            pair, versions = (a.agent, b.agent), (_version(a), _version(b))
+            pair, versions = (a.agent, b.agent), (version_of(a), version_of(b))
             if self._refused.get(pair) == versions:
                 continue
-            if progress is not None:
-                progress(f"aligning {a.agent} and {b.agent}")
-            one, two = self._prepare(a), self._prepare(b)
-            alignment = align(one, two, self.config, watch)
-            if alignment.accepted:
-                self._known[pair] = Known(alignment, versions, support(alignment, one, two))
+            (found,) = self._aligner.align([(a, b)], self.config, 1, watch, progress)
+            if found.alignment.accepted:
+                self._known[pair] = Known(found.alignment, versions, found.support)
                 return True
             self._refused[pair] = versions
         return False
 
+    def _is_due(self, a: TopometricMap, b: TopometricMap) -> bool:
+        """Whether the alignment of a pair is to be made of its present maps."""
+        pair, versions = (a.agent, b.agent), (version_of(a), version_of(b))
+        if self._fixed_for(pair) is not None:
+            return False
+        entry = self._known.get(pair)
+        if entry is None:
+            entry = self._offers.standing(a, b, self._aligner, self.config)
+            if entry is not None:
+                self._known[pair] = entry
+        return entry is None or entry.versions != versions
+
     def _align_again(
         self,
-        a: TopometricMap,
-        b: TopometricMap,
+        pairs: Sequence[tuple[TopometricMap, TopometricMap]],
         watch: Stopwatch,
         progress: Callable[[str], None] | None,
     ) -> None:
-        """Bring the alignment of a pair up to date with its maps."""
-        pair = (a.agent, b.agent)
-        entry = self._known.get(pair)
-        if entry is not None and entry.versions == (_version(a), _version(b)):
-            return
-        if progress is not None:
-            progress(f"aligning {a.agent} and {b.agent}")
-        one, two = self._prepare(a), self._prepare(b)
-        new = align(one, two, self.config, watch)
-        held = support(new, one, two)
-        if entry is not None and self._in_use(pair, entry) and self._same_sessions(a, b, entry):
-            with watch.stage("stability"):
-                new, held = steadier(entry.alignment, entry.support, new, one, two, self.config)
-        self._known[pair] = Known(new, (_version(a), _version(b)), held)
+        """Bring the alignments of pairs up to date with their maps."""
+        found = self._aligner.align(pairs, self.config, self.threads, watch, progress)
+        for (a, b), new in zip(pairs, found, strict=True):
+            pair = (a.agent, b.agent)
+            entry = self._known.get(pair)
+            alignment, held = new.alignment, new.support
+            if entry is not None and self._in_use(pair, entry) and self._same_sessions(a, b, entry):
+                with watch.stage("stability"):
+                    alignment, held = steadier(
+                        entry.alignment, entry.support, alignment, new.a, new.b, self.config
+                    )
+            self._known[pair] = Known(alignment, (version_of(a), version_of(b)), held)
 
     def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:
         return (x, y) if self._order.index(x.agent) < self._order.index(y.agent) else (y, x)
@@ -290,22 +313,10 @@ class MergerSession:
         return stands and entry.alignment.accepted
 
     def _current(self, pair: Pair, entry: Known) -> bool:
-        return entry.versions == (_version(self.maps[pair[0]]), _version(self.maps[pair[1]]))
+        return entry.versions == (version_of(self.maps[pair[0]]), version_of(self.maps[pair[1]]))
 
     def _same_sessions(self, a: TopometricMap, b: TopometricMap, entry: Known) -> bool:
         return tuple(version[0] for version in entry.versions) == (a.session, b.session)
-
-    def _prepare(self, m: TopometricMap) -> Prepared:
-        """Return what aligning makes of a map, once for each version of it."""
-        scoring, matching = self.config.search.scoring, self.config.matching
-        held = self._prepared.get(m.agent)
-        if (
-            held is None
-            or held.map is not m
-            or (held.scoring, held.matching) != (scoring, matching)
-        ):
-            held = self._prepared[m.agent] = Prepared(m, scoring, matching)
-        return held
 
     def _fixed_for(self, pair: Pair) -> Alignment | None:
         return self._fixed.get(pair) or self._fixed.get((pair[1], pair[0]))
@@ -313,7 +324,3 @@ class MergerSession:
     def _stale_warning(self, agent: str) -> str:
         old, new = self.maps[agent].session, self._newer_session[agent].session
         return f"{agent}: session {new} is not aligned yet; its map of session {old} is kept"
-
-
-def _version(m: TopometricMap) -> Version:
-    return m.session, m.sequence

@@ -27,6 +27,11 @@ Version = tuple[str, int]
 """Session and sequence of a map."""
 
 
+def version_of(m: TopometricMap) -> Version:
+    """Return which version of its agent's map this is."""
+    return m.session, m.sequence
+
+
 @dataclass(frozen=True)
 class Known:
     """An alignment and the versions (session, sequence) of the two maps that it was made from."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.packing import (
+    MAXIMUM_ITEMS,
     PackingError,
     pack_array,
     pack_bits,
@@ -105,15 +106,22 @@ def map_to_message(
         raise CodecError(f"map of {m.agent!r}: {error}") from error
 
 
-def map_from_message(message: Any) -> ReceivedMap:
+def map_from_message(message: Any, most: int = MAXIMUM_ITEMS) -> ReceivedMap:
     """Return the map that a topometric_msgs/TopometricMap of any library holds.
+
+    Parameters
+    ----------
+    message : of the message classes of any library
+    most : voxels, and raster cells of all storeys together, that a map may have; what announces
+        more is refused before any memory is taken
 
     Raises
     ------
     CodecError
-        The message cannot be right.
+        The message cannot be right, or holds more than `most`.
     """
     try:
+        _check_size(message, most)
         topometric_map = _map(message)
         observed_by = None
         if len(message.observed_by):
@@ -124,6 +132,18 @@ def map_from_message(message: Any) -> ReceivedMap:
         return ReceivedMap(topometric_map, observed_by, tuple(map(str, message.observers)))
     except (PackingError, MapError, ValueError, OverflowError) as error:
         raise CodecError(f"map of {message.agent!r}: {error}") from error
+
+
+def _check_size(message: Any, most: int) -> None:
+    """Refuse a message that unpacks to more than a reader wants to hold."""
+    cells = sum(int(s.layers.cells_x) * int(s.layers.cells_y) for s in message.storeys)
+    for what, count in (
+        ("voxels", int(message.voxel_count)),
+        ("navigable", int(message.navigable_count)),
+        ("storeys: raster cells", cells),
+    ):
+        if count > most:
+            raise PackingError(f"{what}: {count} items are announced, at most {most} are read")
 
 
 def header(classes: Any, frame_id: str, stamp: int) -> Any:

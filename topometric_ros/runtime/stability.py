@@ -32,6 +32,18 @@ def support(alignment: Alignment, a: Prepared, b: Prepared) -> float:
     return alignment.overlap * min(len(a.map.voxels), len(b.map.voxels))
 
 
+def objection_to(alignment: Alignment, a: Prepared, b: Prepared, config: MergeConfig) -> str | None:
+    """Return what two maps have to say against a transform that was found before, or None.
+
+    An alignment without a transform says nothing that could be wrong.
+    """
+    if not alignment.accepted or alignment.T_a_b is None or config.check == "none":
+        return None
+    T_level = level_frames(alignment.T_a_b, a.map.T_level_input, b.map.T_level_input)
+    evidence = evaluate(a.fields, b.fields, T_level, config.search.scoring)
+    return missed_gate(evidence, config.verification)
+
+
 def steadier(
     old: Alignment,
     old_support: float,
