@@ -75,6 +75,7 @@ def merge_preset(name: str) -> MergeConfig:
             sources=("rooms",),
             check="gates",
             refinement="consensus",
+            consensus=ConsensusConfig(joint=False),
             matching=matching_preset("thesis"),
             # It has no rivals to compare with, so the walls alone must fix the position.
             verification=VerificationConfig(smallest_eigenvalue=2.5),

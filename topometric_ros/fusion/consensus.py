@@ -1,16 +1,21 @@
 """Transform consensus: every match registered by itself, outliers removed, mean of the rest.
 
 Thesis §4.4: "after finding a transformation between every match outliers that represent an
-incorrect registration are removed. We then find the mean of the remaining transformations".
+incorrect registration are removed. We then find the mean of the remaining transformations". As in
+the author's final text, what registered badly goes first, the rest is clustered (DBSCAN), and of
+the clusters' means the one counts that leaves the least error between the whole maps. All rooms
+of its matches may then be registered at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from topometric_ros.alignment import RoomMatch
 from topometric_ros.configuration import parameter
@@ -18,6 +23,9 @@ from topometric_ros.fusion.poses import Transform, apart, apply, yaw_of, yaw_pos
 from topometric_ros.fusion.registration import RegistrationConfig, RegistrationError, register
 from topometric_ros.fusion.surface import Surface
 from topometric_ros.topometric_map import TopometricMap
+
+_JUDGED = 5000
+"""Points of one map that are looked for in the other to judge a cluster."""
 
 
 @dataclass(frozen=True)
@@ -29,22 +37,32 @@ class ConsensusConfig:
             gates=("1.0", "0.6", "0.4", "0.25"), points=2000, steps=15
         )
     )
+    smallest_inliers: float = parameter(
+        0.3,
+        "A match registered badly where a smaller share of its points lies on the other room.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     outlier: float = parameter(
         0.5,
-        "A match whose transform lies farther than this from the middle one is an outlier, or than "
-        "2.5 times the median distance where that is more.",
+        "Matches whose transforms put the rooms at most this far apart are of one cluster.",
         unit="m",
-        minimum=0.0,
+        minimum=0.001,
+    )
+    joint: bool = parameter(
+        True, "Register all rooms of the agreeing matches at once, from the mean of theirs."
     )
 
 
 @dataclass(frozen=True)
 class Consensus:
-    """The mean transform and the matches that it rests on."""
+    """The transform and the matches that it rests on."""
 
     T_a_b: Transform
     kept: tuple[RoomMatch, ...]
     dropped: tuple[RoomMatch, ...]
+    transforms: Mapping[RoomMatch, Transform]
+    """That of each single match that was not registered badly."""
 
 
 def consensus(
@@ -78,29 +96,78 @@ def consensus(
         except RegistrationError:
             failed.append(match)
             continue
+        if result.inliers < config.smallest_inliers:
+            failed.append(match)
+            continue
         transforms.append(result.T_target_source)
         registered.append(match)
     if not transforms:
         raise RegistrationError(f"none of {len(matches)} matched rooms could be registered")
     positions = np.array([b.room_by_id(match.room_b).centroid for match in registered])
-    keep = inliers(transforms, positions, config.outlier)
+    keep, T = _best_cluster(transforms, positions, surface_a, surface_b, config)
     kept = [match for match, own in zip(registered, keep, strict=True) if own]
     lost = [match for match, own in zip(registered, keep, strict=True) if not own]
-    mean = mean_pose([T for T, own in zip(transforms, keep, strict=True) if own], positions[keep])
-    return Consensus(mean, tuple(kept), tuple(lost + failed))
+    if config.joint:
+        T = register_jointly(a, b, surface_a, surface_b, T, kept, config)
+    singles = dict(zip(registered, transforms, strict=True))
+    return Consensus(T, tuple(kept), tuple(lost + failed), singles)
 
 
-def inliers(
-    transforms: Sequence[Transform], positions: NDArray[np.float64], outlier: float
-) -> NDArray[np.bool_]:
-    """Return which transforms lie near the middle one, the one nearest to all others.
+def register_jointly(
+    a: TopometricMap,
+    b: TopometricMap,
+    surface_a: Surface,
+    surface_b: Surface,
+    T_init: Transform,
+    matches: Sequence[RoomMatch],
+    config: ConsensusConfig,
+) -> Transform:
+    """Return T_a_b from all matched rooms at once; parameters and errors as `consensus`."""
+    part_a = surface_a.take(np.isin(a.room, [match.room_a for match in matches]))
+    part_b = surface_b.take(np.isin(b.room, [match.room_b for match in matches]))
+    return register(part_b, part_a, T_init, config.registration).T_target_source
 
-    The distance of two is how far apart they put `positions` (n, 3), m, on average: a difference
-    read at the frame's origin would multiply the yaw's.
+
+def _best_cluster(
+    transforms: Sequence[Transform],
+    positions: NDArray[np.float64],
+    surface_a: Surface,
+    surface_b: Surface,
+    config: ConsensusConfig,
+) -> tuple[NDArray[np.bool_], Transform]:
+    """Return the members and the mean of the cluster under which the whole maps fit best."""
+    labels = clusters(transforms, positions, config.outlier)
+    groups = [labels == label for label in range(labels.max() + 1)]
+    means = [
+        mean_pose([T for T, own in zip(transforms, group, strict=True) if own], positions[group])
+        for group in groups
+    ]
+    if len(groups) == 1:
+        return groups[0], means[0]
+    tree = cKDTree(surface_a.points)
+    drawn = surface_b.points[:: max(1, len(surface_b) // _JUDGED)]
+    reach = config.outlier
+    errors = [
+        float(np.minimum(tree.query(apply(T, drawn), distance_upper_bound=reach)[0], reach).mean())
+        for T in means
+    ]
+    best = int(np.argmin(errors))
+    return groups[best], means[best]
+
+
+def clusters(
+    transforms: Sequence[Transform], positions: NDArray[np.float64], reach: float
+) -> NDArray[np.int64]:
+    """Return the number of the cluster that each transform belongs to, by DBSCAN: (n,).
+
+    A lone transform is a cluster, for two matches that differ leave no other. The distance of two
+    is how far apart they put `positions` (n, 3), m, on average: a difference read at the frame's
+    origin would multiply the yaw's.
     """
-    distances = np.array([[apart(one, two, positions) for two in transforms] for one in transforms])
-    from_middle = distances[int(np.argmin(np.median(distances, axis=1)))]
-    return from_middle <= max(outlier, 2.5 * float(np.median(from_middle)))
+    distances = [[apart(one, two, positions) for two in transforms] for one in transforms]
+    # With one point enough for a core, DBSCAN's clusters are what hangs together.
+    _, labels = connected_components(np.array(distances) <= reach, directed=False)
+    return np.asarray(labels, np.int64)
 
 
 def mean_pose(transforms: Sequence[Transform], positions: NDArray[np.float64]) -> Transform:
