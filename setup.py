@@ -78,6 +78,7 @@ setup(
             "topometric = topometric_ros.cli.main:main",
             "topometric-extractor = topometric_ros.nodes.extractor:main",
             "topometric-merger = topometric_ros.nodes.merger:main",
+            "topometric-player = topometric_ros.nodes.player:main",
             "topometric-managed-extractor = topometric_ros.nodes.managed:extractor",
             "topometric-managed-merger = topometric_ros.nodes.managed:merger",
         ]

@@ -15,6 +15,7 @@ from launch import LaunchContext, LaunchDescription
 from topometric_ros.runtime.agents_file import (
     extractor_arguments,
     merger_arguments,
+    player_arguments,
     read_agents_file,
 )
 
@@ -76,8 +77,12 @@ def _processes(context: LaunchContext) -> list[Action]:
         actions.append(SetEnvironmentVariable(PROFILE_VARIABLE, value["fastdds_profile"]))
     kind = "managed_" if value["managed"].lower() == "true" else ""
     actions += [
-        _node(f"{kind}extractor", common + extractor_arguments(fleet, agent)) for agent in fleet.agents
+        _node(f"{kind}extractor", common + extractor_arguments(fleet, agent))
+        for agent in fleet.agents
     ]
+    if fleet.simulation is not None:
+        # It makes the time of the others, so it must not wait for /clock itself.
+        actions.append(_node("player", player_arguments(fleet)))
     return [*actions, _node(f"{kind}merger", common + merger_arguments(fleet))]
 
 

@@ -20,7 +20,12 @@ sys.path.insert(0, str(ROOT))
 from topometric_ros.configuration import ParameterInfo, parameters  # noqa: E402
 from topometric_ros.extraction.config import extraction_preset  # noqa: E402
 from topometric_ros.fusion.config import merge_preset  # noqa: E402
-from topometric_ros.nodes.config import PRESETS, ExtractorNodeConfig, MergerNodeConfig  # noqa: E402
+from topometric_ros.nodes.config import (  # noqa: E402
+    PRESETS,
+    ExtractorNodeConfig,
+    MergerNodeConfig,
+    PlayerNodeConfig,
+)
 from topometric_ros.simulation.cases import SimulationConfig  # noqa: E402
 
 GENERATED = "Written by scripts/write_config.py from the configuration classes: change those."
@@ -35,7 +40,10 @@ def files() -> dict[Path, str]:
     contents = {
         ROOT / "config" / "extractor.yaml": node_file("extractor", extractor),
         ROOT / "config" / "merger.yaml": node_file("merger", merger),
-        REFERENCE: reference(REFERENCE.read_text(), extractor=extractor, merger=merger),
+        ROOT / "config" / "player.yaml": node_file("player", (PlayerNodeConfig(),)),
+        REFERENCE: reference(
+            REFERENCE.read_text(), extractor=extractor, merger=merger, player=(PlayerNodeConfig(),)
+        ),
         SIMULATION: reference(SIMULATION.read_text(), simulation=(SimulationConfig(),)),
     }
     for preset in PRESETS:

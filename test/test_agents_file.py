@@ -10,7 +10,9 @@ from topometric_ros.runtime.agents_file import (
     extractor_arguments,
     merger_arguments,
     parse_agents,
+    player_arguments,
     read_agents_file,
+    simulated_fleet,
 )
 
 
@@ -85,3 +87,16 @@ def test_an_unreadable_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(AgentsFileError) as caught:
         read_agents_file(tmp_path / "bad.yaml")
     assert "\n" not in str(caught.value)
+
+
+def test_a_fleet_may_be_simulated() -> None:
+    fleet = parse_agents({"agents": [{"id": "a"}], "simulation": {"params": {"seed": 3}}})
+    assert player_arguments(fleet) == ["--ros-args", "-p", "seed:=3"]
+    assert parse_agents({"agents": [{"id": "a"}]}).simulation is None
+    with pytest.raises(AgentsFileError, match="simulation: unknown key 'seed'"):
+        parse_agents({"agents": [{"id": "a"}], "simulation": {"seed": 3}})
+    three = simulated_fleet({"building": "home"}, 3)
+    assert [(agent.id, agent.cloud, agent.mode) for agent in three.agents] == [
+        (name, "scan_cloud", "scan") for name in "abc"
+    ]
+    assert three.simulation == {"building": "home", "agents": 3}

@@ -251,3 +251,5 @@ def test_a_wrong_agents_file_ends_with_status_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "cannot read agents file" in fails(["run", tmp_path / "none.yaml"], capsys)
+    assert "expected either AGENTS.yaml or --simulate" in fails(["run"], capsys)
+    assert "--agents: expected 1 to 26" in fails(["run", "--simulate", "x", "--agents", 0], capsys)

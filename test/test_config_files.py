@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
 from pathlib import Path
 from types import ModuleType
 from xml.etree import ElementTree
@@ -70,6 +71,25 @@ def test_the_fast_dds_profile_gives_a_cloud_room_in_shared_memory() -> None:
     tree = ElementTree.parse(ROOT / "config" / "fastdds_large_clouds.xml")
     sizes = [int(e.text or 0) for e in tree.iter() if e.tag.endswith("segment_size")]
     assert sizes == [64 * 1024 * 1024]
+
+
+def test_a_simulated_fleet_ships() -> None:
+    fleet = read_agents_file(ROOT / "config" / "simulated_fleet.yaml")
+    assert [agent.id for agent in fleet.agents] == ["a", "b"]
+    assert fleet.simulation is not None
+    assert fleet.simulation["agents"] == 2
+
+
+@pytest.mark.parametrize("name", ["rviz/topometric.rviz", "config/foxglove_layout.json"])
+def test_what_is_shown_is_what_is_published(name: str) -> None:
+    """Every topic in RViz' and Foxglove's settings is one that the reference lists."""
+    text = (ROOT / name).read_text()
+    yaml.safe_load(text)
+    reference = (ROOT / "docs" / "ros-interface.md").read_text()
+    published = set(re.findall(r"^\| `/?(\w+)`.*\| out \|", reference, re.MULTILINE))
+    shown = re.findall(r"(?<![\w.])/(?:robot\d/)?(\w+)", text)
+    assert set(shown) <= published
+    assert {"global_cloud", "global_markers", "rooms"} <= set(shown)
 
 
 def test_the_launch_file_describes_every_argument() -> None:

@@ -21,9 +21,12 @@ from typing import Any
 from topometric_ros.cli.common import add_verbose
 from topometric_ros.errors import TopometricError
 from topometric_ros.runtime.agents_file import (
+    AgentsFile,
     extractor_arguments,
     merger_arguments,
+    player_arguments,
     read_agents_file,
+    simulated_fleet,
 )
 
 _POLL_S = 0.2
@@ -39,17 +42,28 @@ def add_parser(commands: Any) -> None:
     command = commands.add_parser(
         "run",
         help="start the extractors and the merger of an agents file",
-        description="Start one extractor an agent and a merger, and end them together. The exit "
+        description="Start one extractor an agent and a merger, and end them together; for a "
+        "simulated fleet a player too. The exit "
         "status is 0 after SIGINT or SIGTERM, 1 where a process ended by itself.",
     )
-    command.add_argument("agents", type=Path, metavar="AGENTS.yaml", help="the agents file")
+    command.add_argument(
+        "agents", type=Path, metavar="AGENTS.yaml", nargs="?", help="the agents file"
+    )
+    command.add_argument(
+        "--simulate",
+        metavar="BUILDING",
+        help="instead of a file: a fleet of simulated agents in office:rooms=6 or the like",
+    )
+    command.add_argument(
+        "--agents", dest="count", type=int, default=2, metavar="N", help="how many (default 2)"
+    )
     add_verbose(command)
     command.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Start the fleet and wait for its end."""
-    fleet = read_agents_file(options.agents)
+    fleet = _fleet(options)
     commands = {
         f"extractor of {agent.id}": [
             *_executable("topometric-extractor", "extractor"),
@@ -61,7 +75,22 @@ def run(options: argparse.Namespace) -> int:
         *_executable("topometric-merger", "merger"),
         *merger_arguments(fleet),
     ]
+    if fleet.simulation is not None:
+        commands["player"] = [
+            *_executable("topometric-player", "player"),
+            *player_arguments(fleet),
+        ]
     return _Fleet(commands).run()
+
+
+def _fleet(options: argparse.Namespace) -> AgentsFile:
+    if (options.agents is None) == (options.simulate is None):
+        raise RunError("expected either AGENTS.yaml or --simulate BUILDING")
+    if options.agents is not None:
+        return read_agents_file(options.agents)
+    if not 1 <= options.count <= 26:
+        raise RunError(f"--agents: expected 1 to 26, got {options.count}")
+    return simulated_fleet({"building": options.simulate}, options.count)
 
 
 def _executable(name: str, module: str) -> list[str]:

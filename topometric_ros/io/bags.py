@@ -23,7 +23,7 @@ from typing import Any
 from mcap.exceptions import McapError
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 
@@ -53,11 +53,15 @@ class BagError(TopometricError):
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic of a bag: its message type and how many messages it has."""
+    """One topic of a bag: its message type and how many messages it has.
+
+    `latched` says that it was published for late joiners too (transient local).
+    """
 
     name: str
     type: str
     count: int
+    latched: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,9 @@ class Bag:
         for connection in self._connections():
             before = found.get(connection.topic)
             count = connection.msgcount + (before.count if before else 0)
-            found[connection.topic] = TopicInfo(connection.topic, connection.msgtype, count)
+            found[connection.topic] = TopicInfo(
+                connection.topic, connection.msgtype, count, _latched(connection)
+            )
         return dict(sorted(found.items()))
 
     def require(self, topic: str, types: Sequence[str] = (CLOUD_TYPE, MAP_TYPE)) -> TopicInfo:
@@ -192,6 +198,11 @@ class Bag:
                 f"{self.path}: topic {connection.topic} was recorded with another definition of "
                 f"{connection.msgtype} ({connection.digest[:16]}) than this program's ({ours[:16]})"
             )
+
+
+def _latched(connection: Connection) -> bool:
+    profiles = getattr(connection.ext, "offered_qos_profiles", ())
+    return any(p.durability is QosDurability.TRANSIENT_LOCAL for p in profiles)
 
 
 def _parts(path: Path) -> list[Path]:

@@ -146,3 +146,43 @@ class MergerNodeConfig:
         "File that keeps maps, alignments and what was set by hand across a restart; written after "
         "each merge, read at the start. Empty: nothing is kept.",
     )
+
+
+@dataclass(frozen=True)
+class PlayerNodeConfig:
+    """What the player plays."""
+
+    bag: str = parameter(
+        "", "Bag to play: clouds, transforms and maps. Empty: a fleet is simulated."
+    )
+    building: str = parameter(
+        "office:rooms=6", "Building of the simulated fleet, as `topometric simulate` takes it."
+    )
+    agents: int = parameter(
+        2,
+        "Agents of the simulated fleet; they are called a, b, c and so on.",
+        minimum=1,
+        maximum=26,
+    )
+    overlap: float = parameter(
+        0.5,
+        "Share of the smaller map that two agents of it have in common, as near as it can be had.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    seed: int = parameter(0, "Seed of the simulated fleet.", minimum=0)
+    clouds: str = parameter(
+        "scans",
+        "What the simulated agents publish: single scans with /tf, or growing maps.",
+        choices=("scans", "maps"),
+    )
+    rate: float = parameter(
+        1.0, "Recorded seconds that are played in a second.", minimum=0.01, maximum=1000.0
+    )
+    patience: float = parameter(
+        60.0,
+        "How long to wait until somebody listens to every cloud.",
+        unit="s",
+        minimum=0.0,
+        maximum=1e6,
+    )

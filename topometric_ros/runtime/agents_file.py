@@ -11,6 +11,8 @@
     merger:
       namespace: ""              # default: none
       params: {global_frame: global}
+    simulation:                  # only for a fleet that is simulated
+      params: {building: "office:rooms=6"}
 
 A file says everything that a process needs: :func:`extractor_arguments` and
 :func:`merger_arguments` turn it into the ROS arguments of the executables.
@@ -39,7 +41,7 @@ _AGENT_KEYS = ("id", "namespace", "cloud", "mode", "params")
 _SHARED = ("global_frame",)
 """Parameters of the merger that its extractors must know."""
 
-_ROOT_KEYS = ("agents", "extractor", "merger")
+_ROOT_KEYS = ("agents", "extractor", "merger", "simulation")
 
 
 class AgentsFileError(TopometricError):
@@ -64,12 +66,16 @@ class AgentEntry:
 
 @dataclass(frozen=True)
 class AgentsFile:
-    """A fleet: its agents in order, the parameters of all extractors and those of the merger."""
+    """A fleet: its agents in order, the parameters of all extractors and those of the merger.
+
+    `simulation` are the parameters of the player, None where the agents are real.
+    """
 
     agents: tuple[AgentEntry, ...]
     extractor_params: Mapping[str, Any] = field(default_factory=dict)
     merger_namespace: str = ""
     merger_params: Mapping[str, Any] = field(default_factory=dict)
+    simulation: Mapping[str, Any] | None = None
 
 
 def read_agents_file(path: Path | str) -> AgentsFile:
@@ -121,7 +127,15 @@ def parse_agents(tree: Any, where: str = "agents file") -> AgentsFile:
         extractor_params=_params(extractor.get("params"), f"{where}: extractor"),
         merger_namespace=namespace.rstrip("/"),
         merger_params=_params(merger.get("params"), f"{where}: merger"),
+        simulation=_simulation(root, where),
     )
+
+
+def simulated_fleet(params: Mapping[str, Any], agents: int) -> AgentsFile:
+    """Return a fleet of so many simulated agents: a, b, c and so on."""
+    names = "abcdefghijklmnopqrstuvwxyz"[:agents]
+    entries = tuple(AgentEntry(name, f"/{name}", "scan_cloud", "scan") for name in names)
+    return AgentsFile(entries, simulation={**params, "agents": agents})
 
 
 def agent_of_namespace(namespace: str) -> str:
@@ -160,6 +174,11 @@ def merger_arguments(fleet: AgentsFile) -> list[str]:
     return arguments + _parameter_arguments({**fleet.merger_params, "agents": agents})
 
 
+def player_arguments(fleet: AgentsFile) -> list[str]:
+    """Return the arguments with which the player simulates this fleet."""
+    return ["--ros-args", *_parameter_arguments(fleet.simulation or {})]
+
+
 def _merger_entry(agent: AgentEntry) -> str:
     """Return an agent as the merger's parameter `agents` names it."""
     told = agent_of_namespace(agent.namespace) == agent.id
@@ -190,6 +209,13 @@ def _agent(entry: Any, where: str) -> AgentEntry:
         mode=mode,
         params=_params(tree.get("params"), where),
     )
+
+
+def _simulation(root: Mapping[str, Any], where: str) -> dict[str, Any] | None:
+    if "simulation" not in root:
+        return None
+    tree = _mapping(root["simulation"], ("params",), f"{where}: simulation")
+    return _params(tree.get("params"), f"{where}: simulation")
 
 
 def _mapping(tree: Any, known: tuple[str, ...], where: str) -> Mapping[str, Any]:
