@@ -27,7 +27,7 @@ from topometric_ros.simulation.surfaces import sampled_surfaces
 
 PASS_DENSITY = 400.0
 """Points a m² of one pass over the surfaces."""
-ROWS = ("points", "area (m²)", "voxels", "viewpoints", "rooms found")
+ROWS = ("points", "area (m²)", "voxels", "viewpoints", "rooms found", "passages found")
 
 
 def main() -> int:
@@ -91,7 +91,8 @@ def measure(cloud: Path, preset: str, voxel_size: float) -> dict[str, float]:
         session="large",
     )
     m = result.map
-    found = {"voxels": len(m.voxels), "viewpoints": len(m.viewpoints), "rooms found": len(m.rooms)}
+    found = {"voxels": len(m.voxels), "viewpoints": len(m.viewpoints)}
+    found |= {"rooms found": len(m.rooms), "passages found": len(m.passages)}
     stages = {f"{stage} (s)": value for stage, value in result.timings.items()}
     total = {"all stages (s)": sum(result.timings.values()), "peak memory (GB)": peak_mb() / 1e3}
     return {**found, **stages, **total}

@@ -23,6 +23,8 @@ from topometric_ros.evaluation.scaling import (
     write_scaling,
 )
 from topometric_ros.evaluation.scaling_tables import scaling_picture, scaling_tables
+from topometric_ros.runtime.config import preset_config
+from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.simulation.buildings import load_building
 from topometric_ros.simulation.surfaces import sampled_surfaces
 
@@ -30,7 +32,8 @@ MEASURES = {
     **{"true_rooms": 12.0, "points": 300000.0, "voxels": 9000.0, "map_bytes": 2048.0},
     **{"extract.thin": 0.5, "extract.rooms": 1.5, "extract.peak_mb": 300.0},
     **{"merge.search": 0.25, "merge.peak_mb": 310.0, "global_bytes": 4096.0},
-    **{"rooms_found": 11.0, "pairs": 1.0, "sharing": 1.0, "accepted": 1.0, "wrong": 0.0},
+    **{"rooms_found": 11.0, "true_links": 13.0, "passages_found": 10.0},
+    **{"pairs": 1.0, "sharing": 1.0, "accepted": 1.0, "wrong": 0.0},
 }
 
 
@@ -48,6 +51,25 @@ def test_surfaces_are_sampled_evenly_on_the_inside_of_rooms():
     assert len(floor) == pytest.approx(np.prod(high - low) / 0.05**2, rel=0.05)
     cells = np.unique(((floor[:, :2] - low) / 0.1).astype(int), axis=0)
     assert len(cells) >= np.prod(np.floor((high - low) / 0.1))
+
+
+def test_doorways_are_sampled_up_to_their_lintels_and_become_passages():
+    building = load_building("office:seed=1,rooms=3,furniture=0,windows=false")
+    x = building.vertices[:, 0]
+    points = sampled_surfaces(building, (x.min(), x.max()), np.random.default_rng(0), noise=0.0)
+    assert building.links
+    for link in building.links:
+        near = np.abs(points[:, :2] - link.position[:2]).max(axis=1) < 0.05
+        heights = np.unique(points[near, 2].round(3))
+        # Floor and lintel, and nothing of what lies hidden in the wall above.
+        assert heights.tolist() == [0.0, 2.1]
+    config = preset_config("default")
+    found = extract_map(points, config.extraction, config.merge.matching, agent="a", session="a")
+    near = [
+        min(np.linalg.norm(np.subtract(p.position, link.position)[:2]) for p in found.map.passages)
+        for link in building.links
+    ]
+    assert max(near) < 0.5
 
 
 def test_no_two_agents_sample_the_same_points():
@@ -75,6 +97,7 @@ def test_a_small_building_is_measured_step_by_step(tmp_path: Path):
     assert "peak_mb" not in seconds_of(measures, "extract")
     assert measures["extract.peak_mb"] > 50
     assert measures["pairs"] == 1
+    assert measures["passages_found"] >= measures["true_links"] / 2
     assert 0 < measures["map_bytes"] < 12 * measures["points"]
     assert measures["wrong"] <= measures["accepted"] <= 1
 
@@ -100,6 +123,8 @@ def test_a_run_goes_on_where_it_stopped_and_tries_again_what_failed(
     asked.clear()
     run_scaling(sizes[:1], tmp_path)
     assert not asked
+    write_scaling(tmp_path / "scaling.csv", {sizes[0]: {"points": 1.0}})
+    assert run_scaling(sizes[:1], tmp_path)[0] == {sizes[0]: MEASURES}
 
 
 def test_rows_come_back_and_others_are_refused(tmp_path: Path):
@@ -116,7 +141,7 @@ def test_the_command_writes_tables_and_a_picture(tmp_path: Path, capsys, monkeyp
     assert main(command) == 0
     said = capsys.readouterr().out
     assert said == (tmp_path / "scaling.md").read_text(encoding="utf-8")
-    assert "| 10 × 2 | 12 | 11 | 300,000 | 2.0 | 0.2 |" in said
+    assert "| 10 × 2 | 12 | 11 | 13 | 10 | 300,000 | 2.0 | 0.2 |" in said
     assert "| 10 × 5 |" in said
     assert (tmp_path / "scaling.png").read_bytes().startswith(b"\x89PNG")
     assert main(["benchmark", "-o", str(tmp_path)]) == 2

@@ -17,7 +17,8 @@ _LEAST = 1e-3
 
 def scaling_tables(known: Known, failed: Mapping[Size, str]) -> str:
     """Return a summary and the seconds of every stage, as Markdown."""
-    head = ["rooms × agents", "true rooms", "found", "points", "extract CPU s", "merge CPU s"]
+    head = ["rooms × agents", "true rooms", "found", "true links", "passages", "points"]
+    head += ["extract CPU s", "merge CPU s"]
     head += ["extract peak MB", "merge peak MB", "map kB", "global map kB"]
     head += ["pairs", "sharing half", "accepted", "wrong"]
     parts = [_table(head, [_summary(size, m) for size, m in known.items()])]
@@ -107,7 +108,7 @@ def _lines(
 
 def _summary(size: Size, m: Measures) -> list[str]:
     extract, merge = (sum(seconds_of(m, step).values()) for step in STEPS)
-    whole = ["true_rooms", "rooms_found", "points"]
+    whole = ["true_rooms", "rooms_found", "true_links", "passages_found", "points"]
     counts = ["pairs", "sharing", "accepted", "wrong"]
     return [
         _name(size),

@@ -1,7 +1,8 @@
 """What an agent would see of a part of a building, sampled from its surfaces without casting rays.
 
 Stands in for `simulate` where a building is large: a point costs no ray, and no walk need be
-planned. There are no shadows, the only noise is across the surface, and all rooms are seen whole.
+planned. There are no shadows, the only noise is across the surface, and all rooms are seen whole,
+with the openings of the links between them.
 Clouds made so say what a size costs, not how well anything works on real scans.
 """
 
@@ -11,18 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.simulation.building import BuildingError
-from topometric_ros.simulation.labelled import LabelledBuilding, TrueRoom
+from topometric_ros.simulation.labelled import LabelledBuilding, TrueLink
+from topometric_ros.simulation.world import World, make_world
 
 _SPACING = 0.05
 """Points of one surface lie about this far apart, m."""
 _CELL = 0.05
 """Cell of the raster that says which room is where, m."""
 _AHEAD = 0.07
-"""A surface belongs to the room that lies this far in front of it, m."""
+"""A surface belongs to the room or opening that lies this far in front of it, m."""
 _BEYOND = 0.01
-"""How far a point may lie outside its room's range of heights, m."""
+"""How far a point may lie outside the range of heights of its room or opening, m."""
+_HALF_WALL = 0.5
+"""How far an opening reaches from its middle to the rooms on both sides, at most, m."""
+_LOOK_UP = 1.0
+"""Height above the floor from which an opening's upper end is looked for, m."""
 _STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 """Multiples of these, modulo 1, fill a square evenly (the R2 sequence, Roberts 2018)."""
+
+_Place = tuple[NDArray[np.float64], float, float]
+"""Outline (K, 2), lowest and highest z of a room or an opening, m."""
 
 
 def sampled_surfaces(
@@ -31,7 +40,7 @@ def sampled_surfaces(
     rng: np.random.Generator,
     noise: float = 0.01,
 ) -> NDArray[np.float64]:
-    """Return points on the inside of the rooms in a stretch along x: (N, 3) float64, m.
+    """Return points inside the rooms and doorways of a stretch along x: (N, 3) float64, m.
 
     Parameters
     ----------
@@ -54,9 +63,10 @@ def sampled_surfaces(
     inside = (points[:, 0] >= stretch[0]) & (points[:, 0] <= stretch[1])
     points, normals = points[inside], normals[inside]
     seen = np.zeros(len(points), dtype=bool)
+    openings = _openings(building)
     for storey in sorted({room.storey for room in building.rooms}):
-        rooms = [room for room in building.rooms if room.storey == storey]
-        seen |= _seen_from(rooms, points, normals)
+        rooms = [(r.polygon, r.z_low, r.z_high) for r in building.rooms if r.storey == storey]
+        seen |= _seen_from(rooms, openings.get(storey, []), points, normals)
     points, normals = points[seen], normals[seen]
     return points + rng.normal(0.0, noise, (len(points), 1)) * normals
 
@@ -78,25 +88,71 @@ def _on_triangles(
     return points, normal[face] / twice[face, None]
 
 
+def _openings(building: LabelledBuilding) -> dict[int, list[_Place]]:
+    """Return what joins the rooms of each storey, up to the lintels; stairs are rooms."""
+    links = [link for link in building.links if link.kind != "stair"]
+    found: dict[int, list[_Place]] = {}
+    if not links:
+        return found
+    for link, top in zip(links, _tops(links, make_world(building)), strict=True):
+        room = building.rooms[link.rooms[0]]
+        low, high = float(link.position[2]), room.z_high if np.isnan(top) else float(top)
+        found.setdefault(room.storey, []).append((_outline(building, link), low, high))
+    return found
+
+
+def _tops(links: list[TrueLink], world: World) -> NDArray[np.float64]:
+    """Return the height of what is above each link: (L,), m, NaN nothing."""
+    from_floor = np.array([link.position for link in links]) + [0.0, 0.0, _LOOK_UP]
+    up = np.broadcast_to([0.0, 0.0, 1.0], from_floor.shape)
+    return world.cast(from_floor, up, 100.0)[:, 2]
+
+
+def _outline(building: LabelledBuilding, link: TrueLink) -> NDArray[np.float64]:
+    """Return the rectangle (4, 2), m, of a link: its width along the wall, from room to room."""
+    place, depth = link.position[:2], 0.0
+    along = np.zeros(2)
+    for room in link.rooms:
+        start = building.rooms[room].polygon
+        edge = np.roll(start, -1, axis=0) - start
+        length = np.maximum(np.linalg.norm(edge, axis=1), 1e-9)
+        share = np.clip(np.sum((place - start) * edge, axis=1) / length**2, 0.0, 1.0)
+        away = np.linalg.norm(start + share[:, None] * edge - place, axis=1)
+        nearest = int(np.argmin(away))
+        depth, along = max(depth, float(away[nearest])), edge[nearest] / length[nearest]
+    half = along * link.width / 2
+    across = np.array([-along[1], along[0]]) * min(depth + _CELL, _HALF_WALL)
+    return np.array(
+        [place - half - across, place + half - across, place + half + across, place - half + across]
+    )
+
+
 def _seen_from(
-    rooms: list[TrueRoom], points: NDArray[np.float64], normals: NDArray[np.float64]
+    rooms: list[_Place],
+    openings: list[_Place],
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Return which points (N, 3) face one of the rooms of a storey, with unit normals (N, 3)."""
-    corners = np.concatenate([room.polygon for room in rooms])
+    """Return which points (N, 3) of a storey face a room or an opening, with unit normals (N, 3).
+
+    What lies in a room is not in the opening that reaches into it.
+    """
+    places = openings + rooms
+    corners = np.concatenate([polygon for polygon, *_ in places])
     low = corners.min(axis=0)
     raster = np.full(tuple(np.ceil(np.ptp(corners, axis=0) / _CELL).astype(int) + 1), -1)
-    for index, room in enumerate(rooms):
-        _paint(raster, low, room.polygon, index)
+    for index, (polygon, *_) in enumerate(places):
+        _paint(raster, low, polygon, index)
     ahead = points + _AHEAD * normals
     cells = np.floor((ahead[:, :2] - low) / _CELL).astype(np.int64)
     within = ((cells >= 0) & (cells < raster.shape)).all(axis=1)
-    room_of = np.full(len(points), -1)
-    room_of[within] = raster[tuple(cells[within].T)]
-    heights = np.array([(room.z_low, room.z_high) for room in rooms])[room_of]
+    place_of = np.full(len(points), -1)
+    place_of[within] = raster[tuple(cells[within].T)]
+    heights = np.array([(z_low, z_high) for _, z_low, z_high in places])[place_of]
     z = points[:, 2]
     level = (z >= heights[:, 0] - _BEYOND) & (z <= heights[:, 1] + _BEYOND)
     facing = (ahead[:, 2] > heights[:, 0]) & (ahead[:, 2] < heights[:, 1])
-    seen: NDArray[np.bool_] = (room_of >= 0) & level & facing
+    seen: NDArray[np.bool_] = (place_of >= 0) & level & facing
     return seen
 
 
