@@ -173,7 +173,7 @@ def test_simulated_cases_are_all_combinations() -> None:
         "buildings": ["office:seed={seed}", "home:rooms=5"],
         "overlaps": [0.2, 0.5],
         "seeds": [1, 2],
-        "degradations": {"clean": {}, "noisy": {"sensor.noise": 0.02}},
+        "degradations": {"clean": {}, "noisy": {"sensor.lidar.noise": 0.02}},
     }
     cases = parse_suite(tree).cases
     assert len(cases) == 16
@@ -196,6 +196,9 @@ def test_simulated_cases_are_all_combinations() -> None:
         ({"buildings": ["x"], "seeds": ["one"]}, "seeds"),
         ({"buildings": ["x", "x"]}, "two cases"),
         ({"buildings": ["x"], "degradations": {"a": 3}}, "degradations"),
+        ({"buildings": ["x"], "degradations": {"a": {"degrade.dropuot": 0.1}}}, "dropuot"),
+        ({"buildings": ["x"], "overlaps": [1.5]}, "overlap"),
+        ({"buildings": ["office:roomz=3"]}, "roomz"),
         (["x"], "expected the keys"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -118,6 +119,7 @@ def test_a_run_out_of_time_is_a_row_that_says_so(tmp_path: Path):
     assert rows[0].error == "ended after 0.01 s"
     assert not rows[0].accepted
     assert not rows[0].right
+    assert not run_benchmark(pairs, ["birdseye"], tmp_path / "out")[0].error
 
 
 def test_rows_survive_the_file(tmp_path: Path):
@@ -137,7 +139,7 @@ def test_a_suite_gives_pairs_that_are_kept_and_equal(tmp_path: Path):
     for name in ("one", "two"):
         write_pair(tmp_path / "ready" / name)
     found = find_pairs([str(suite)], tmp_path / "out")
-    assert found.origin == "4 pairs; 1 simulated: 1 buildings, 1 seeds of each in every cell (4)"
+    assert found.origin == "4 pairs; 1 simulated: 1 building, 1 seed of each in every cell (4)"
     cells = {pair.cell: pair for pair in found.pairs}
     assert list(cells) == ["pairs", "crossed", "noisy, overlap 0.5"]
     made = cells["noisy, overlap 0.5"]
@@ -155,6 +157,14 @@ def test_a_suite_gives_pairs_that_are_kept_and_equal(tmp_path: Path):
     }
     other = find_pairs([str(suite)], tmp_path / "other").pairs[-1]
     assert (other.path / "a.ply").read_bytes() == written[0]
+
+
+def test_a_limit_is_spread_over_all_pairs(tmp_path: Path):
+    write_pair(tmp_path / "0")
+    for k in range(1, 5):
+        shutil.copytree(tmp_path / "0", tmp_path / str(k))
+    found = find_pairs([str(tmp_path)], tmp_path / "out", limit=3)
+    assert [pair.name for pair in found.pairs] == ["0", "1", "3"]
 
 
 def test_a_suite_of_no_use_is_told_in_one_line(tmp_path: Path, capsys):

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from topometric_ros.cli.common import add_verbose, finish_progress, progress_of
+from topometric_ros.cli.common import add_verbose, finish_progress, output_folder, steps_of
 
 PEERS = "topometric, topometric_thesis, birdseye, kiss_matcher, fpfh_ransac_icp, fgr_icp"
 """As `evaluation.peers.registry` has them, which takes a second to import."""
@@ -22,7 +22,8 @@ def add_parser(commands: Any) -> None:
         help="this package and other methods side by side on pairs with known truth",
         description="Write OUT/rows.csv and tables.md, and print the tables; the pairs of a suite "
         "are simulated first and kept in OUT/pairs. With --scaling write OUT/scaling.csv, "
-        "scaling.md and scaling.png. Run it again to go on where it stopped.",
+        "scaling.md and scaling.png. Run it again to go on where it stopped. Exit status 1: "
+        "nothing ran.",
     )
     command.add_argument(
         "pairs",
@@ -49,6 +50,9 @@ def add_parser(commands: Any) -> None:
         help="seconds of wall clock after which a run is ended (default 600)",
     )
     command.add_argument(
+        "--fresh", action="store_true", help="run all pairs again, after the code has changed"
+    )
+    command.add_argument(
         "--scaling",
         action="store_true",
         help="instead of pairs: what larger and larger generated offices and more agents cost",
@@ -68,7 +72,7 @@ def add_parser(commands: Any) -> None:
 
 def benchmark(options: argparse.Namespace) -> int:
     """Run the benchmark and print its tables."""
-    from topometric_ros.evaluation.benchmark import run_benchmark
+    from topometric_ros.evaluation.benchmark import ROWS, run_benchmark
     from topometric_ros.evaluation.benchmark_pairs import BenchmarkError, find_pairs
     from topometric_ros.evaluation.benchmark_tables import benchmark_tables
     from topometric_ros.evaluation.peers.registry import make_peer
@@ -78,9 +82,12 @@ def benchmark(options: argparse.Namespace) -> int:
         raise BenchmarkError("give folders of pairs or suites, or --scaling without them")
     if options.scaling:
         return _scaling(options)
-    peers, progress = options.peers or _installed(), progress_of(options)
+    peers, progress = options.peers or _installed(), steps_of(options)
     for peer in peers:
         make_peer(peer)  # What is not installed is told before hours of simulation.
+    folder = output_folder(options)
+    if options.fresh:
+        (folder / ROWS).unlink(missing_ok=True)
     found = find_pairs(options.pairs, options.output, options.limit, progress)
     rows = run_benchmark(
         found.pairs, peers, options.output, timeout=options.timeout, progress=progress
@@ -89,7 +96,7 @@ def benchmark(options: argparse.Namespace) -> int:
     write_atomically(options.output / "tables.md", tables.encode())
     finish_progress(options)
     print(tables, end="")
-    return 0
+    return 1 if all(row.error for row in rows) else 0
 
 
 def _scaling(options: argparse.Namespace) -> int:
@@ -99,7 +106,7 @@ def _scaling(options: argparse.Namespace) -> int:
     from topometric_ros.io.summaries import write_atomically
 
     sizes = sizes_of(options.rooms, options.agents)
-    out, progress = options.output, progress_of(options)
+    out, progress = options.output, steps_of(options)
     known, failed = run_scaling(sizes, out, timeout=options.timeout, progress=progress)
     tables = scaling_tables(known, failed)
     write_atomically(out / "scaling.md", tables.encode())
@@ -127,7 +134,7 @@ def _installed() -> list[str]:
 
 
 def _count(text: str) -> int:
-    count = int(text)
-    if count < 0:
-        raise ValueError(text)
-    return count
+    """Return a number of things; raises ArgumentTypeError below 0."""
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"expected a number of at least 0, got {text!r}")
+    return int(text)

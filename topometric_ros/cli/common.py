@@ -105,6 +105,13 @@ def progress_of(options: argparse.Namespace) -> Callable[[str], None]:
     return lambda text: print(f"\r\033[K{text} …", end="", file=sys.stderr, flush=True)
 
 
+def steps_of(options: argparse.Namespace) -> Callable[[str], None]:
+    """Return as `progress_of`, but lines off a terminal too: for commands that run for hours."""
+    if sys.stderr.isatty() or options.verbose:
+        return progress_of(options)
+    return lambda text: print(text, file=sys.stderr, flush=True)
+
+
 def finish_progress(options: argparse.Namespace) -> None:
     """Clear the line of progress."""
     if sys.stderr.isatty() and not options.verbose:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from topometric_ros.cli.common import add_verbose, finish_progress, output_folder, progress_of
+from topometric_ros.cli.common import add_verbose, finish_progress, output_folder, steps_of
 
 
 def add_parser(commands: Any) -> None:
@@ -15,7 +15,8 @@ def add_parser(commands: Any) -> None:
         "evaluate",
         help="measure extraction, matching and fusion on a suite of cases",
         description="Write OUT/rows.csv (one row a case and preset), seconds.csv, tables.md and "
-        "report.html. A run that was broken off goes on where it stopped.",
+        "report.html. A run that was broken off goes on where it stopped. Exit status 1: every "
+        "case failed.",
     )
     command.add_argument("suite", help="YAML file, or a bundled suite: short, pairs, ...")
     command.add_argument(
@@ -44,7 +45,7 @@ def evaluate(options: argparse.Namespace) -> int:
     suite = read_suite(options.suite)
     if options.presets:
         suite = with_presets(suite, options.presets)
-    folder, progress = output_folder(options), progress_of(options)
+    folder, progress = output_folder(options), steps_of(options)
     if options.fresh:
         clear(folder)
     run = run_suite(suite, folder, processes=options.jobs, progress=progress)
@@ -55,7 +56,7 @@ def evaluate(options: argparse.Namespace) -> int:
     finish_progress(options)
     print(made)
     print(f"written to {folder}")
-    return 0
+    return 1 if all(row.failed for row in run.rows) else 0
 
 
 def _jobs(text: str) -> int:

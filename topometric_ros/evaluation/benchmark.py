@@ -82,6 +82,8 @@ def run_benchmark(
 ) -> list[BenchmarkRow]:
     """Run every method on every pair that `out` holds no row of yet; return all rows.
 
+    What gave nothing before, such as for want of time, is tried again.
+
     Parameters
     ----------
     timeout : wall seconds after which one run is ended and counts as without a pose
@@ -94,7 +96,7 @@ def run_benchmark(
     for peer in peers:
         make_peer(peer)
     out.mkdir(parents=True, exist_ok=True)
-    rows = read_benchmark(out / ROWS)
+    rows = {key: row for key, row in read_benchmark(out / ROWS).items() if not row.error}
     wanted = [(pair, peer) for pair in pairs for peer in peers]
     for k, (pair, peer) in enumerate(wanted):
         if (pair.name, peer) not in rows:

@@ -20,6 +20,7 @@ from topometric_ros.errors import TopometricError
 from topometric_ros.evaluation.case import simulate_agents
 from topometric_ros.evaluation.suite import CaseSpec, SuiteError, read_suite
 from topometric_ros.simulation.case_files import write_case
+from topometric_ros.visualization.page import counted
 
 PAIRS = "pairs"
 """Folder below the output that a suite's pairs are written to."""
@@ -76,8 +77,8 @@ def find_pairs(
     found: list[PairFolder | CaseSpec] = []
     for source in sources:
         found += _folders(Path(source)) if Path(source).is_dir() else _cases(source)
-    step = max(1, len(found) // limit) if limit else 1
-    found = found[::step][: limit or None]
+    if limit and limit < len(found):
+        found = [found[k * len(found) // limit] for k in range(limit)]
     pairs, failed = [], {}
     for k, entry in enumerate(found):
         if isinstance(entry, PairFolder):
@@ -166,12 +167,14 @@ def _write_crossed(spec: CaseSpec, folder: Path) -> None:
 def _origin(found: Sequence[PairFolder | CaseSpec]) -> str:
     """Return how many pairs there are and how many seeds stand behind a cell."""
     made = [entry for entry in found if isinstance(entry, CaseSpec) and entry.building]
-    buildings = {entry.building.replace(f"seed={entry.seed}", "") for entry in made}
-    seeds = {entry.seed for entry in made}
-    parts = [f"{len(found)} pairs"]
+    seeds = sorted({entry.seed for entry in made})
+    parts = [counted(len(found), "pair")]
     if made:
+        # A building may be another one for every seed, so those of one seed are counted.
+        of_seed = [{entry.building for entry in made if entry.seed == seed} for seed in seeds]
+        buildings = counted(max(map(len, of_seed)), "building")
         parts.append(
-            f"{len(made)} simulated: {len(buildings)} buildings, {len(seeds)} seeds of each in "
-            f"every cell ({', '.join(map(str, sorted(seeds)))})"
+            f"{len(made)} simulated: {buildings}, {counted(len(seeds), 'seed')} of each in "
+            f"every cell ({', '.join(map(str, seeds))})"
         )
     return "; ".join(parts)

@@ -47,8 +47,7 @@ def benchmark_tables(
 
 def share_of(rows: Rows, is_so: Callable[[BenchmarkRow], bool]) -> str:
     """Return the share of rows that are so, with N; where none is, how many there could be."""
-    count = sum(is_so(row) for row in rows)
-    return share(count, len(rows)) if count else rate(0, len(rows))
+    return share(sum(is_so(row) for row in rows), len(rows))
 
 
 def false_merges(rows: Rows) -> str:

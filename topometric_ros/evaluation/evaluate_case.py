@@ -36,7 +36,7 @@ from topometric_ros.fusion.merge import merge
 from topometric_ros.fusion.poses import Transform, apply, inverse
 from topometric_ros.io.map_files import load_map, save_map
 from topometric_ros.io.merge_files import merge_summary
-from topometric_ros.io.summaries import write_json
+from topometric_ros.io.summaries import matrix_rows, write_json
 from topometric_ros.runtime.config import ToolConfig, dump_config, preset_config
 from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.runtime.sources import session_id
@@ -44,6 +44,9 @@ from topometric_ros.simulation.case import SimulatedAgent
 from topometric_ros.simulation.case_files import read_case
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels.grid import voxelise
+
+TRUE_POSES = "true_poses.json"
+"""In a case's folder: the true T_a_b (4, 4) m of every pair in `merge.json`'s order, or null."""
 
 
 def evaluate_case(
@@ -66,7 +69,7 @@ def evaluate_case(
     result = merge(maps, config.merge, sources={m.agent: file for m, file in extracted})
     end = time.process_time()
     scored = [scored_agent(agent, m) for agent, m in zip(case.agents, maps, strict=True)]
-    _keep(case_folder(out, spec.name, preset), result, scored)
+    _keep(case_folder(out, spec.name, preset), case, result, scored)
     columns: dict[str, Any] = {
         "points": tuple(float(len(agent.points)) for agent in case.agents),
         "message_bytes": tuple(float(bytes_on_the_wire(m)) for m in maps),
@@ -178,10 +181,13 @@ def _pair_columns(
     return {name: tuple(row[name] for row in rows) for name in names}
 
 
-def _keep(folder: Path, result: MergeResult, scored: Sequence[ScoredAgent]) -> None:
+def _keep(
+    folder: Path, case: EvaluationCase, result: MergeResult, scored: Sequence[ScoredAgent]
+) -> None:
     """Leave in a folder what the report draws."""
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "merge.json", merge_summary(result))
+    write_json(folder / TRUE_POSES, [matrix_rows(pair.T_a_b) for pair in case.pairs])
     observers = tuple(agent.id for agent in result.agents)
     save_map(folder / "global.tmap", result.global_map.map, result.global_map.agents, observers)
     for entry in scored:

@@ -7,27 +7,18 @@ and the fused map.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from topometric_ros.alignment import GlobalMap
 from topometric_ros.evaluation.case_result import CaseResult, Seconds
-from topometric_ros.evaluation.evaluate_case import case_folder
-from topometric_ros.evaluation.figures import reliability_figure, rooms_over_truth
+from topometric_ros.evaluation.figures import reliability_figure
+from topometric_ros.evaluation.report_cases import case_card
 from topometric_ros.evaluation.table_cells import Table
 from topometric_ros.evaluation.tables import is_false, possible, tables
-from topometric_ros.io.map_files import load_global_map, load_map
-from topometric_ros.topometric_map import TopometricMap
-from topometric_ros.visualization.figures import global_figure, hex_colour
-from topometric_ros.visualization.page import details, page, picture, pill, text, tiles
+from topometric_ros.visualization.page import page, picture, pill, text, tiles
 from topometric_ros.visualization.page import table as html_table
-from topometric_ros.visualization.pair_figures import matches_figure, overlay_figure
-from topometric_ros.visualization.stage_files import alignment_of
-from topometric_ros.voxels.palette import agent_colour
 
 PICTURED = 4
 """So many cases of each preset have pictures."""
@@ -59,7 +50,7 @@ def report_html(
         parts.append(f"<h2>The worst cases under preset {text(preset)}</h2>")
         for row in members[:pictured]:
             progress(f"drawing {row.case} ({row.preset})")
-            parts.append(_case(row, out))
+            parts.append(case_card(row, out, pill(*verdict(row))))
     return page(f"Evaluation: {title}", "\n".join(parts))
 
 
@@ -117,7 +108,8 @@ def _reliability(rows: Sequence[CaseResult]) -> str:
                 right.append(bool(row.right[k]))
     words = "Each mark: a tenth of the scale with its N and 95 % interval."
     shown = picture(reliability_figure(forecasts), "reliability of the confidence", words)
-    return f'<section class="card">{shown}</section>' if shown else ""
+    title = "<h2>Reliability of the confidence</h2>"
+    return f'{title}<section class="card">{shown}</section>' if shown else ""
 
 
 def _all_cases(rows: Sequence[CaseResult]) -> str:
@@ -136,54 +128,6 @@ def _all_cases(rows: Sequence[CaseResult]) -> str:
         for row in rows
     ]
     return html_table(head, cells, "   nnnn")
-
-
-def _case(row: CaseResult, out: Path) -> str:
-    """Return the pictures of a case, from its folder."""
-    folder = case_folder(out, row.case, row.preset)
-    merged = json.loads((folder / "merge.json").read_text(encoding="utf-8"))
-    agents = [agent["id"] for agent in merged["agents"]]
-    maps = {agent["id"]: load_map(out / agent["source"]) for agent in merged["agents"]}
-    rooms = [_rooms_card(name, maps[name], row, i, folder) for i, name in enumerate(agents)]
-    parts = [
-        f"<h3>{text(row.case)} ({text(row.preset)}) {pill(*verdict(row))}</h3>",
-        f'<div class="pair">{"".join(rooms)}</div>',
-    ]
-    for entry in merged["alignments"]:
-        parts.append(_pair(entry, maps, agents))
-    placed = [a["id"] for a in merged["agents"] if a["T_global_agent"] is not None]
-    if len(placed) > 1:
-        fused, observed_by, _ = load_global_map(folder / "global.tmap")
-        if observed_by is not None:
-            png = global_figure(GlobalMap(fused, observed_by), agents, placed)
-            parts.append(picture(png, "fused map", "The fused map; outlined: what each saw."))
-    return f'<section class="card">{"".join(parts)}</section>'
-
-
-def _rooms_card(name: str, m: TopometricMap, row: CaseResult, i: int, folder: Path) -> str:
-    """Return one agent's rooms over the truth."""
-    words = f"agent {name}: {len(m.rooms)} rooms"
-    if row.miou_walked:
-        words += f", {row.rooms_walked[i]:.0f} walked through, MIoU walked {row.miou_walked[i]:.2f}"
-    true_room = np.load(folder / f"{name}.truth.npy")
-    png = rooms_over_truth(m, true_room)
-    return f"<div>{picture(png, f'rooms of {name} over truth', words)}</div>"
-
-
-def _pair(entry: Mapping[str, Any], maps: Mapping[str, TopometricMap], agents: list[str]) -> str:
-    """Return what one alignment said, its overlay and its matches."""
-    alignment = alignment_of(entry)
-    a, b = (maps[name] for name in alignment.agents)
-    words = f"{' and '.join(alignment.agents)}: {alignment.status}: {alignment.reason}"
-    parts = [f"<p>{text(words)}</p>"]
-    if alignment.T_a_b is not None:
-        colours = [hex_colour(agent_colour(agents.index(name))) for name in alignment.agents]
-        png = overlay_figure(a, b, alignment.T_a_b, (colours[0], colours[1]))
-        parts.append(picture(png, "overlay", "Walls laid over each other; red: in conflict."))
-    if alignment.matches:
-        note = f"{len(alignment.matches)} matched rooms; unmatched rooms are grey."
-        parts.append(details("matches", picture(matches_figure(a, b, alignment), "matches", note)))
-    return "".join(parts)
 
 
 def _numbers(values: Sequence[float], digits: int) -> str:

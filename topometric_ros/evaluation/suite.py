@@ -12,7 +12,7 @@
     overlaps: [0.35, 0.7, 0.0]
     degradations:                    # dotted names of SimulationConfig
       clean: {}
-      noisy: {sensor.noise: 0.02}
+      noisy: {sensor.lidar.noise: 0.02}
 
 Every part may be left out. Simulated cases are all combinations of buildings, degradations,
 overlaps and seeds.
@@ -29,7 +29,8 @@ from typing import Any
 
 import yaml
 
-from topometric_ros.errors import TopometricError
+from topometric_ros.configuration import with_values
+from topometric_ros.errors import ConfigurationError, TopometricError
 from topometric_ros.evaluation.case import cell_of, crossed_folders, pair_folders
 from topometric_ros.extraction.config import PRESETS
 
@@ -165,12 +166,35 @@ def _simulated(tree: Mapping[str, Any]) -> list[CaseSpec]:
         wrong = [v for v in values if not isinstance(v, kind) or isinstance(v, bool) or v < 0]
         if wrong:
             raise SuiteError(f"{key}: expected numbers of at least 0, got {wrong[0]!r}")
-    return [
+    cases = [
         _simulation(building, str(how), float(overlap), int(seed), agents, degradations[how])
         for building, how, overlap, seed in itertools.product(
             buildings, degradations, overlaps, seeds
         )
     ]
+    _check_values(cases)
+    return cases
+
+
+def _check_values(cases: Sequence[CaseSpec]) -> None:
+    """Refuse what no case could be simulated with, before hours are spent on the others.
+
+    A building's file is not looked for here: where one of many is missing the others still run.
+    """
+    from topometric_ros.simulation.cases import SimulationConfig  # Imports Open3D.
+    from topometric_ros.simulation.generator import is_generated, parse_generator
+
+    checked: set[str] = set()
+    for case in cases:
+        values = {"agents": case.agents, "overlap": case.overlap, **case.settings}
+        try:
+            if is_generated(case.building) and case.building not in checked:
+                parse_generator(case.building)
+            if repr(values) not in checked:
+                with_values(SimulationConfig(), values)
+        except ConfigurationError as error:
+            raise SuiteError(f"{case.name}: {error}") from error
+        checked |= {case.building, repr(values)}
 
 
 def _simulation(
@@ -197,7 +221,10 @@ def _path_of(text: str) -> Path:
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
     installed = Path(sys.prefix) / "share/topometric_ros/config/suites"
-    for folder in (Path("config/suites"), installed):
+    folders = (Path("config/suites"), installed)
+    for folder in folders:
         if (folder / f"{text}.yaml").is_file():
             return folder / f"{text}.yaml"
-    raise SuiteError(f"{text}: neither a YAML file nor a suite in {installed}")
+    found = (path.stem for folder in folders for path in folder.glob("*.yaml"))
+    known = ", ".join(sorted(set(found))) or "none found"
+    raise SuiteError(f"{text}: neither a YAML file nor a bundled suite ({known})")

@@ -34,15 +34,19 @@ def markdown(title: str, made: Iterable[Table]) -> str:
 
 
 def share(part: float, whole: int) -> str:
-    """Return a share with its N.
+    """Return a share with its N, a share of zero with its upper 95 % bound.
 
     Examples
     --------
     >>> share(3, 4)
     '75 % (3/4)'
+    >>> share(0, 30)
+    '0 % (0/30; below 9.5 %)'
     >>> share(0, 0)
     '–'
     """
+    if whole and not part:
+        return rate(0, whole)
     return f"{100 * part / whole:.0f} % ({part:.0f}/{whole})" if whole else "–"
 
 

@@ -108,6 +108,17 @@ def number(value: float, digits: int, unit: str = "") -> str:
     return digits_text.replace("-", "−") + (f"\u00a0{unit}" if unit else "")
 
 
+def counted(count: int, word: str) -> str:
+    """Return a number with the word for what it counts.
+
+    Examples
+    --------
+    >>> counted(1, "pair"), counted(2, "pair")
+    ('1 pair', '2 pairs')
+    """
+    return f"{count} {word}" + ("" if count == 1 else "s")
+
+
 def pill(kind: str, label: str) -> str:
     """Return a coloured label; `kind` is "good", "warn" or "bad"."""
     return f'<span class="pill {kind}">{text(label)}</span>'

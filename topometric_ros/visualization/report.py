@@ -23,6 +23,7 @@ from topometric_ros.visualization.figures import (
     map_figure,
 )
 from topometric_ros.visualization.page import (
+    counted,
     details,
     number,
     page,
@@ -231,8 +232,8 @@ def _size(m: TopometricMap) -> str:
     area = sum(room.area for room in m.rooms)
     storeys = f", {len(m.storeys)} storeys" if len(m.storeys) > 1 else ""
     return (
-        f"{_counted(len(m.rooms), 'room')} ({area:.0f} m²), "
-        f"{_counted(len(m.passages), 'passage')}{storeys}, {len(m.voxels):,} voxels of "
+        f"{counted(len(m.rooms), 'room')} ({area:.0f} m²), "
+        f"{counted(len(m.passages), 'passage')}{storeys}, {len(m.voxels):,} voxels of "
         f"{m.voxel_size:g} m"
     )
 
@@ -250,7 +251,3 @@ def _listed(names: Sequence[str]) -> str:
 
 def _are(names: Sequence[str]) -> str:
     return "are" if len(names) > 1 else "is"
-
-
-def _counted(count: int, word: str) -> str:
-    return f"{count} {word}" + ("" if count == 1 else "s")

@@ -16,7 +16,7 @@ import numpy as np
 
 from topometric_ros.topometric_map import Room
 from topometric_ros.visualization.figures import hex_colour
-from topometric_ros.visualization.page import number, text
+from topometric_ros.visualization.page import counted, number, text
 from topometric_ros.visualization.page_stages import base64_of
 from topometric_ros.visualization.view import (
     Match,
@@ -40,7 +40,7 @@ def view_html(view: View, stages: Mapping[str, Any] | None = None) -> str:
     folder = files("topometric_ros.visualization")
     page = (folder / "view_page.html").read_text(encoding="utf-8")
     counts = [(len(m.rooms), "room"), (len(m.passages), "passage"), (len(m.storeys), "storey")]
-    words = [f"{count} {word}{'s' if count != 1 else ''}" for count, word in counts]
+    words = [counted(count, word) for count, word in counts]
     words.append(f"{len(m.voxels):,} voxels of {number(m.voxel_size, 2, 'm')}")
     summary = ", ".join(words)
     # "</" would end the element, and nothing in the data may do that.
