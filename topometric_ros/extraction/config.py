@@ -36,7 +36,9 @@ class ExtractionConfig:
     storeys: StoreyConfig = field(default_factory=StoreyConfig)
     layers: LayersConfig = field(default_factory=LayersConfig)
     navigation: NavigationConfig = field(
-        default_factory=lambda: NavigationConfig(keep="all", largest_off_floor=4.0)
+        default_factory=lambda: NavigationConfig(
+            keep="all", largest_off_floor=4.0, gap=1.0, roofed_gap=3.0, treads=True
+        )
     )
     viewpoints: ViewpointConfig = field(default_factory=lambda: ViewpointConfig(step=2))
     narrowings: NarrowingsConfig = field(default_factory=NarrowingsConfig)

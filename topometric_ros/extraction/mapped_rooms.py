@@ -7,11 +7,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.topometric_map import NO_ROOM, OFFSET_STEPS, Storey
 from topometric_ros.voxels.grid import VoxelGrid
+from topometric_ros.voxels.index import VoxelIndex, row_at
+
+_TALLEST = 8.0
+"""How far above floor that was not seen a ceiling or a lintel tells its room, m."""
+_AROUND = tuple((x, y, z) for z in (0, 1, -1) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)))
 
 
 @dataclass(frozen=True)
@@ -19,7 +25,8 @@ class MappedRooms:
     """One agent's or a fused map once its rooms are known; metres, level frame.
 
     `grid` are the N occupied voxels, `offsets` (N, 3) int8 and `room` (N,) int32 as a
-    TopometricMap holds them, `navigable` (M, 3) int32 cells that an agent could stand on.
+    TopometricMap holds them, `navigable` (M, 3) int32 cells that an agent could stand on, those
+    where the floor was not seen included.
     """
 
     grid: VoxelGrid
@@ -48,10 +55,93 @@ class MappedRooms:
         return points
 
     @cached_property
+    def standing(self) -> NDArray[np.float64]:
+        """Places on the floor, one a navigable cell: (M, 3) float64, m."""
+        rows = self._rows
+        unseen = self.grid.origin + self.navigable * self.grid.voxel_size
+        places: NDArray[np.float64] = np.where(rows[:, None] >= 0, self.surface[rows], unseen)
+        return places
+
+    @cached_property
+    def room_of_standing(self) -> NDArray[np.int32]:
+        """The room of each navigable cell: (M,) int32.
+
+        Where the floor was not seen it is that of what is above it on the storey, or else of the
+        nearest floor on the way there.
+        """
+        rows = self._rows
+        label = np.where(rows >= 0, self.room[rows], NO_ROOM).astype(np.int32)
+        unseen = np.flatnonzero(rows < 0)
+        if len(unseen) == 0:
+            return label
+        cells = self.navigable[unseen]
+        most = round(_TALLEST / self.grid.voxel_size)
+        over = _first_above(VoxelIndex(self.grid.coords).table, cells, most)
+        z = self.grid.origin[2] + cells[:, 2] * self.grid.voxel_size
+        floors = np.array([storey.floor_z for storey in self.storeys])
+        ids = np.array([storey.id for storey in self.storeys])
+        nearest = ids[np.argmin(np.abs(z[:, None] - floors), axis=1)]
+        known = (over >= 0) & (self.storey[over] == nearest)
+        label[unseen[known]] = self.room[over[known]]
+        rest = unseen[label[unseen] == NO_ROOM]
+        _spread(VoxelIndex(self.navigable).table, self.navigable, label, rest, np.array(_AROUND))
+        return label
+
+    @cached_property
+    def _rows(self) -> NDArray[np.int64]:
+        """Row of each navigable cell in the grid, -1 where the floor was not seen: (M,) int64."""
+        return VoxelIndex(self.grid.coords).rows(self.navigable)
+
+    @cached_property
     def storey(self) -> NDArray[np.int64]:
         """The id of the storey of each voxel's room: (N,) int64, -1 for voxels in none."""
-        ids = np.full(int(self.room.max(initial=NO_ROOM)) + 2, -1, np.int64)
-        known = np.unique(self.room[self.room != NO_ROOM])
-        ids[known + 1] = [self.storey_of_room[int(i)] for i in known]
-        of_voxels: NDArray[np.int64] = ids[self.room + 1]
-        return of_voxels
+        return self.storey_of(self.room)
+
+    def storey_of(self, room: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Return the id of the storey of each room (K,), -1 for none: (K,) int64."""
+        ids = np.full(max(self.storey_of_room, default=NO_ROOM) + 2, -1, np.int64)
+        for known, storey in self.storey_of_room.items():
+            ids[known + 1] = storey
+        of_rooms: NDArray[np.int64] = ids[room + 1]
+        return of_rooms
+
+
+@njit(cache=True, nogil=True)
+def _first_above(table, cells, most):  # type: ignore[no-untyped-def]
+    """Row of the first voxel at most so many cells above each cell, -1 where there is none."""
+    found = np.full(len(cells), -1, np.int64)
+    for i in range(len(cells)):
+        for rise in range(1, most + 1):
+            found[i] = row_at(table, cells[i, 0], cells[i, 1], cells[i, 2] + rise)
+            if found[i] >= 0:
+                break
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _spread(table, cells, label, rest, around):  # type: ignore[no-untyped-def]
+    """Give the cells `rest` the label of the nearest labelled cell, ring by ring, in place."""
+    taken = np.empty(len(rest), np.int32)
+    left = rest.copy()
+    while len(left):
+        count = 0
+        for i in range(len(left)):
+            taken[i] = -1
+            for k in range(len(around)):
+                row = row_at(
+                    table,
+                    cells[left[i], 0] + around[k, 0],
+                    cells[left[i], 1] + around[k, 1],
+                    cells[left[i], 2] + around[k, 2],
+                )
+                if row >= 0 and label[row] > taken[i]:
+                    taken[i] = label[row]
+        for i in range(len(left)):
+            if taken[i] >= 0:
+                label[left[i]] = taken[i]
+            else:
+                left[count] = left[i]
+                count += 1
+        if count == len(left):
+            break
+        left = left[:count].copy()

@@ -100,6 +100,25 @@ class NavigationConfig:
         unit="m^2",
         minimum=0.0,
     )
+    gap: float = parameter(
+        0.0,
+        "Widest hole in the floor that is closed where nothing stands in it and floor at the same "
+        "height, or on one ramp, was seen on both sides; 0 closes none.",
+        unit="m",
+        minimum=0.0,
+        maximum=5.0,
+    )
+    roofed_gap: float = parameter(
+        0.0,
+        "Widest such hole with a ceiling above all of it.",
+        unit="m",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    treads: bool = parameter(
+        False,
+        "Add the treads of stairs on which the stick does not fit, as it does not on steep ones.",
+    )
 
 
 def unobstructed(
@@ -111,20 +130,23 @@ def unobstructed(
     return convolve(grid.coords, None, stick, "any", index) == 0
 
 
-def navigable_volume(grid: VoxelGrid, config: NavigationConfig) -> NDArray[np.int32]:
+def navigable_volume(
+    grid: VoxelGrid, config: NavigationConfig, free: NDArray[np.bool_] | None = None
+) -> NDArray[np.int32]:
     """Return V_navigation = V_max ∩ V: the voxels that an agent could stand on.
 
     Parameters
     ----------
     grid : occupied voxels, z up
     config : the agent and what to keep
+    free : (N,) bool, what :func:`unobstructed` says of the grid, if the caller has it
 
     Returns
     -------
     (M, 3) int32, a subset of the grid's cells in Morton order; empty if nothing can be stood on
     """
     index = VoxelIndex(grid.coords)
-    standing = grid.coords[unobstructed(grid, config, index)]
+    standing = grid.coords[unobstructed(grid, config, index) if free is None else free]
     if len(standing) == 0:
         return np.zeros((0, 3), np.int32)
     height = math.floor(config.dilation / grid.voxel_size + 0.5)

@@ -119,16 +119,15 @@ def find_links(rooms: MappedRooms, config: PassageConfig) -> tuple[Passage, ...]
     passages ordered by their rooms' ids; positions at their middle, widths from jamb to jamb
     """
     grid, navigable = rooms.grid, rooms.navigable
-    rows = VoxelIndex(grid.coords).rows(navigable)
-    label = np.where(rows >= 0, rooms.room[rows], NO_ROOM).astype(np.int32)
-    storey = np.where(rows >= 0, rooms.storey[rows], -1)
+    label = rooms.room_of_standing
+    storey = rooms.storey_of(label)
     surroundings = Surroundings(grid, rooms.columns, rooms.surface)
     found: list[Passage] = []
     for one in rooms.storeys:
         own = storey == one.id
         own[own] = _walkable(navigable[own], grid, one, config)
         contacts = one_a_door(_contacts(grid, navigable[own], label[own], config), config.door)
-        floor = rooms.surface[rows[own]]
+        floor = rooms.standing[own]
         found += [_measured(c, surroundings, floor, one, grid.voxel_size, config) for c in contacts]
     found += find_stairs(rooms, config.stairs)
     return tuple(sorted(found, key=lambda p: p.rooms))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import logging
 from dataclasses import dataclass
 
@@ -16,12 +17,14 @@ from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.extent import anchor, moved_finding, without_islands, without_strays
+from topometric_ros.extraction.floor_gaps import close_gaps
 from topometric_ros.extraction.layers import refine_floor, storey_layers
 from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
 from topometric_ros.extraction.mapped_rooms import MappedRooms
-from topometric_ros.extraction.navigation import navigable_volume, on_storeys
+from topometric_ros.extraction.navigation import navigable_volume, on_storeys, unobstructed
 from topometric_ros.extraction.passages import passages_of
 from topometric_ros.extraction.quality import Finding, Quality
+from topometric_ros.extraction.stairs import flights
 from topometric_ros.extraction.storeys import (
     RASTER,
     StoreyHeights,
@@ -31,7 +34,7 @@ from topometric_ros.extraction.storeys import (
 from topometric_ros.extraction.viewpoints import viewpoints
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import Storey, TopometricMap
-from topometric_ros.voxels.grid import VoxelGrid, surface_offsets, thin, voxelise
+from topometric_ros.voxels.grid import VoxelGrid, in_morton_order, surface_offsets, thin, voxelise
 
 logger = logging.getLogger(__name__)
 
@@ -91,6 +94,7 @@ def extract(
     stamp: int = 0,
     origin: tuple[float, float, float] | None = None,
     T_level_input: NDArray[np.float64] | None = None,
+    way: NDArray[np.float64] | None = None,
 ) -> Extraction:
     """Extract a topometric map from a cloud.
 
@@ -102,6 +106,7 @@ def extract(
     origin : m, level frame, of the lattice of an earlier map of this session. By default x and y
         are 0 and z lies on the lowest floor, so that a layer of cell centres does.
     T_level_input : (4, 4) of an earlier map of this session; estimated by default
+    way : (K, 3) float64, m, input frame, where the sensor was, in order; not known by default
 
     Returns
     -------
@@ -116,7 +121,9 @@ def extract(
     watch = Stopwatch()
     scene = _scene(points, config, origin, T_level_input, watch)
     grid = scene.grid
-    room, navigable, eyes = _rooms(scene, config, watch)
+    with watch.stage("navigation"):
+        navigable = _navigable(scene, config, way)
+    room, eyes = _rooms(scene, navigable, config, watch)
     with watch.stage("layers"):
         storeys = _map_storeys(scene, config)
         offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
@@ -241,13 +248,34 @@ def _storeys(
     return raster, raster_of_point, columns, heights, storeys
 
 
+def _navigable(
+    scene: _Scene, config: ExtractionConfig, way: NDArray[np.float64] | None
+) -> NDArray[np.int32]:
+    """Return the navigable volume: what was seen of it, and what closes its gaps."""
+    grid, storeys, stick = scene.grid, scene.storeys, config.navigation
+    free = unobstructed(grid, stick)
+    navigable = navigable_volume(grid, stick, free)
+    navigable = on_storeys(navigable, grid, storeys, stick)
+    if way is not None:
+        way = way @ scene.T_level_input[:3, :3].T + scene.T_level_input[:3, 3]
+    if stick.treads and len(storeys) > 1:
+        columns = scene.columns if grid.voxel_size == RASTER else sort_columns(grid.coords)
+        pairs = itertools.pairwise(storeys)
+        found = [
+            grid.coords[rows]
+            for lower, upper in pairs
+            for rows, _ in flights(
+                grid, columns, lower.floor, upper.floor, lower.ceiling, config.passages.stairs
+            )
+        ]
+        navigable = in_morton_order(np.concatenate([navigable, *found]))
+    return close_gaps(navigable, grid.coords[free], grid, storeys, stick, way)
+
+
 def _rooms(
-    scene: _Scene, config: ExtractionConfig, watch: Stopwatch
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
-    """Return the room of every voxel, the navigable voxels and the viewpoints."""
-    with watch.stage("navigation"):
-        navigable = navigable_volume(scene.grid, config.navigation)
-        navigable = on_storeys(navigable, scene.grid, scene.storeys, config.navigation)
+    scene: _Scene, navigable: NDArray[np.int32], config: ExtractionConfig, watch: Stopwatch
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return the room of every voxel and the viewpoints."""
     with watch.stage("viewpoints"):
         eyes = viewpoints(navigable, scene.grid, config.viewpoints)
     with watch.stage("rooms"):
@@ -264,7 +292,7 @@ def _rooms(
                 config.narrowings,
             )
             room = majority(scene.cell_of_point, of_point)
-    return room, navigable, eyes
+    return room, eyes
 
 
 def _map_storeys(scene: _Scene, config: ExtractionConfig) -> tuple[Storey, ...]:

@@ -9,6 +9,7 @@ turning or half-seen flight is rare. A way that hardly rises for its length is a
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,11 +84,6 @@ def find_stairs(rooms: MappedRooms, config: StairsConfig) -> tuple[Passage, ...]
     treads = columns.above * grid.voxel_size > config.headroom
     found: list[Passage] = []
     for lower, upper in itertools.pairwise(rooms.storeys):
-        low, high = lower.floor_z, upper.floor_z
-        ceiling = high if lower.ceiling_z is None else lower.ceiling_z
-        top = min(high - _LEVEL, ceiling - _BELOW_CEILING)
-        rows = np.flatnonzero(treads & (height > low + _LEVEL) & (height < top))
-        component = connected_components(grid.coords[rows], _climbing(grid.voxel_size, config))
         floors = [
             np.flatnonzero(
                 treads & (rooms.storey == level.id) & (abs(height - level.floor_z) <= _LEVEL)
@@ -96,18 +92,48 @@ def find_stairs(rooms: MappedRooms, config: StairsConfig) -> tuple[Passage, ...]
         ]
         if min(map(len, floors)) == 0:
             continue
-        for number in range(int(component.max(initial=-1)) + 1):
-            own = rows[component == number]
-            if len(own) * grid.voxel_size**2 < config.smallest_tread:
-                break  # The largest come first.
-            seen = _seen(height[own], low + _LEVEL, top, grid.voxel_size, config)
-            if height[own].min() > low + config.ends or height[own].max() < top - config.ends:
-                continue
-            if seen >= config.seen:
-                ends = [_room_beside(grid, own, floor, room, height) for floor in floors]
-                passage = _passage(grid, columns, own, (ends[0], ends[1]), seen)
-                found += [passage] if passage.width >= config.narrowest else []
+        ceiling = upper.floor_z if lower.ceiling_z is None else lower.ceiling_z
+        for own, seen in flights(grid, columns, lower.floor_z, upper.floor_z, ceiling, config):
+            ends = [_room_beside(grid, own, floor, room, height) for floor in floors]
+            passage = _passage(grid, columns, own, (ends[0], ends[1]), seen)
+            found += [passage] if passage.width >= config.narrowest else []
     return tuple(found)
+
+
+def flights(
+    grid: VoxelGrid,
+    columns: Columns,
+    low: float,
+    high: float,
+    ceiling: float,
+    config: StairsConfig,
+) -> Iterator[tuple[NDArray[np.int64], float]]:
+    """Yield the treads of each way from a floor to the next, the largest first.
+
+    Parameters
+    ----------
+    grid, columns : the occupied voxels and their columns
+    low, high, ceiling : m, heights of the two floors and of the lower one's ceiling
+    config : what counts as a way up
+
+    Yields
+    ------
+    rows of the grid (n,) int64, and the share of the height in which treads were seen
+    """
+    height = grid.origin[2] + grid.coords[:, 2] * grid.voxel_size
+    top = min(high - _LEVEL, ceiling - _BELOW_CEILING)
+    treads = columns.above * grid.voxel_size > config.headroom
+    rows = np.flatnonzero(treads & (height > low + _LEVEL) & (height < top))
+    component = connected_components(grid.coords[rows], _climbing(grid.voxel_size, config))
+    for number in range(int(component.max(initial=-1)) + 1):
+        own = rows[component == number]
+        if len(own) * grid.voxel_size**2 < config.smallest_tread:
+            return  # The largest come first.
+        if height[own].min() > low + config.ends or height[own].max() < top - config.ends:
+            continue
+        seen = _seen(height[own], low + _LEVEL, top, grid.voxel_size, config)
+        if seen >= config.seen:
+            yield own, seen
 
 
 def _climbing(voxel_size: float, config: StairsConfig) -> Kernel:

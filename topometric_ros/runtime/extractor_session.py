@@ -198,7 +198,7 @@ class ExtractorSession:
         self._failed = True
         if self._cloud is not self._extracted:
             self._extracted, self._cells = self._cloud, np.empty(0, np.int64)
-        up = self._T_up_input
+        up, way = self._T_up_input, self.trajectory
         result = extract_map(
             points if np.array_equal(up, np.eye(4)) else points @ up[:3, :3].T,
             self.extraction,
@@ -213,6 +213,7 @@ class ExtractorSession:
             stamp=self.stamp,
             origin=previous.origin if previous else None,
             T_level_input=self._T_level_up,
+            way=None if way is None else way.positions @ up[:3, :3].T,
         )
         m = result.map
         if previous is None:

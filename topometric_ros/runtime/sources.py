@@ -114,6 +114,7 @@ def load_source(
     progress(f"reading {source.path}")
     cloud = read_cloud(source.path, options.up, options.scale)
     agent = source.agent or readable(source.path.stem)
+    way = _trajectory_beside(source.path, source.path.stem, agent)
     progress(f"extracting {agent} ({len(cloud.points):,} points)")
     result = extract_map(
         cloud.points,
@@ -124,8 +125,8 @@ def load_source(
         agent=agent,
         session=session_id(options.seed, agent, 0),
         sequence=1,
+        way=None if way is None else way.positions @ cloud.T_up_input[:3, :3].T,
     )
-    way = _trajectory_beside(source.path, source.path.stem, agent)
     return LoadedMap(result.map, source.text, result.timings, way, result.quality)
 
 
