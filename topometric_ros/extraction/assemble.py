@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.extraction.attributes import RoomAttributes, room_attributes
 from topometric_ros.extraction.mapped_rooms import MappedRooms
-from topometric_ros.extraction.room_kinds import room_kind, typical_width
+from topometric_ros.extraction.room_kinds import GeometricClassifier, RoomClassifier, RoomView, told
 from topometric_ros.topometric_map import NO_ROOM, Passage, Room
 from topometric_ros.voxels.grid import VoxelGrid
 
@@ -31,11 +31,17 @@ def storeys_of_rooms(room: NDArray[np.int32], storey: NDArray[np.int32]) -> dict
     return dict(zip(ids.tolist(), of_most.tolist(), strict=True))
 
 
-def assemble_rooms(rooms: MappedRooms, passages: Sequence[Passage]) -> tuple[Room, ...]:
+def assemble_rooms(
+    rooms: MappedRooms,
+    passages: Sequence[Passage],
+    classifier: RoomClassifier | None = None,
+) -> tuple[Room, ...]:
     """Describe every room that has voxels with its attributes, ordered by id.
 
-    Rooms that none of the `passages` leads to are isolated.
+    Rooms that none of the `passages` leads to are isolated. The `classifier` tells their kinds,
+    without one their geometry.
     """
+    classifier = GeometricClassifier() if classifier is None else classifier
     reached = {room_id for passage in passages for room_id in passage.rooms}
     measured = room_attributes(rooms)
     room = rooms.room
@@ -47,7 +53,8 @@ def assemble_rooms(rooms: MappedRooms, passages: Sequence[Passage]) -> tuple[Roo
             storey = rooms.storey_of_room[room_id]
             plain = _room(rooms.grid, rows, room_id, storey, room_id not in reached)
             found = measured[room_id]
-            kind, sure = _kind(room_id, found, passages, rooms.grid.voxel_size)
+            view = _view(room_id, rows, found, passages, rooms.grid)
+            kind, sure = told(classifier, view)
             described.append(
                 replace(
                     plain,
@@ -63,15 +70,23 @@ def assemble_rooms(rooms: MappedRooms, passages: Sequence[Passage]) -> tuple[Roo
     return tuple(described)
 
 
-def _kind(
-    room: int, found: RoomAttributes, passages: Sequence[Passage], voxel_size: float
-) -> tuple[str, float]:
-    """Return a room's kind and how sure that is."""
+def _view(
+    room: int,
+    rows: NDArray[np.int64],
+    found: RoomAttributes,
+    passages: Sequence[Passage],
+    grid: VoxelGrid,
+) -> RoomView:
+    """Return what a classifier is shown of a room; `rows` are its voxels."""
     own = [passage for passage in passages if room in passage.rooms]
-    neighbours = {other for passage in own for other in passage.rooms} - {room}
-    stairs = sum(passage.kind == "stairs" for passage in own)
-    width = typical_width(found.floor, voxel_size)
-    return room_kind(found.floor_area, width, len(neighbours), stairs)
+    return RoomView(
+        floor=found.floor,
+        cell=grid.voxel_size,
+        points=grid.origin + grid.coords[rows] * grid.voxel_size,
+        height=found.height,
+        neighbours=len({other for passage in own for other in passage.rooms} - {room}),
+        stairs=sum(passage.kind == "stairs" for passage in own),
+    )
 
 
 def _room(

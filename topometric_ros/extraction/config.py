@@ -11,6 +11,7 @@ from topometric_ros.extraction.layers import LayersConfig
 from topometric_ros.extraction.level import LevelConfig
 from topometric_ros.extraction.navigation import NavigationConfig
 from topometric_ros.extraction.passages import PassageConfig
+from topometric_ros.extraction.room_kinds import RoomKindsConfig
 from topometric_ros.extraction.storeys import StoreyConfig
 from topometric_ros.extraction.thesis_rooms import ThesisRoomsConfig
 from topometric_ros.extraction.viewpoints import ViewpointConfig
@@ -43,6 +44,7 @@ class ExtractionConfig:
     viewpoints: ViewpointConfig = field(default_factory=lambda: ViewpointConfig(step=2))
     narrowings: NarrowingsConfig = field(default_factory=NarrowingsConfig)
     views: ThesisRoomsConfig = field(default_factory=ThesisRoomsConfig)
+    kinds: RoomKindsConfig = field(default_factory=RoomKindsConfig)
     passages: PassageConfig = field(
         default_factory=lambda: PassageConfig(step=0.1, smallest_contact=3, storeys=True)
     )

@@ -18,6 +18,7 @@ from topometric_ros.extraction.columns import Columns
 from topometric_ros.extraction.merging import MergingConfig, merge_pieces
 from topometric_ros.extraction.pair_features import pair_features
 from topometric_ros.extraction.pieces import markers, watershed
+from topometric_ros.extraction.room_kinds import RoomClassifier, join_corridors
 from topometric_ros.extraction.room_labels import label_points
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
 from topometric_ros.extraction.walls import StoreyRaster, WallsConfig, storey_raster
@@ -44,8 +45,13 @@ class NarrowingsConfig:
     )
 
 
-def storey_regions(raster: StoreyRaster, config: NarrowingsConfig) -> NDArray[np.int32]:
-    """Return the rooms of one storey: (nx, ny) int32, numbered from 1, 0 where there is none."""
+def storey_regions(
+    raster: StoreyRaster, config: NarrowingsConfig, classifier: RoomClassifier | None = None
+) -> NDArray[np.int32]:
+    """Return the rooms of one storey: (nx, ny) int32, numbered from 1, 0 where there is none.
+
+    An own `classifier` may join more cuts of one corridor than the merging of pieces.
+    """
     pieces = watershed(
         raster.distance,
         raster.domain,
@@ -58,6 +64,8 @@ def storey_regions(raster: StoreyRaster, config: NarrowingsConfig) -> NDArray[np
         raster, pieces, round(merging.sample_step / RASTER), merging.view_range / RASTER
     )
     regions = merge_pieces(pieces, raster.distance, features, merging)
+    if classifier is not None:
+        regions = join_corridors(regions, raster.distance, RASTER, classifier)
     area = np.bincount(regions.ravel()) * RASTER**2
     area[0] = 0.0
     kept = np.flatnonzero(area >= config.smallest_area)
@@ -74,6 +82,7 @@ def segment(
     places: NDArray[np.float64],
     voxel_of_point: NDArray[np.int64],
     config: NarrowingsConfig,
+    classifier: RoomClassifier | None = None,
 ) -> NDArray[np.int32]:
     """Label every point with its room.
 
@@ -85,6 +94,8 @@ def segment(
     storey : (N,) int32, index of the storey of each voxel
     places : (P, 2) float64, cells, x and y of the points on the voxels' lattice
     voxel_of_point : (P,) int64
+    config : NarrowingsConfig
+    classifier : an own one may join cuts of one corridor
 
     Returns
     -------
@@ -98,7 +109,7 @@ def segment(
         if not members.any():
             continue
         raster = storey_raster(columns, heights, members, level, config.walls)
-        regions = storey_regions(raster, config)
+        regions = storey_regions(raster, config, classifier)
         if not regions.any():
             continue
         inside = members[voxel_of_point]

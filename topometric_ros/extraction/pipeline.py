@@ -24,6 +24,7 @@ from topometric_ros.extraction.mapped_rooms import MappedRooms
 from topometric_ros.extraction.navigation import navigable_volume, on_storeys, unobstructed
 from topometric_ros.extraction.passages import passages_of
 from topometric_ros.extraction.quality import Finding, Quality
+from topometric_ros.extraction.room_kinds import RoomClassifier, load_classifier
 from topometric_ros.extraction.stairs import flights
 from topometric_ros.extraction.storeys import (
     RASTER,
@@ -95,6 +96,7 @@ def extract(
     origin: tuple[float, float, float] | None = None,
     T_level_input: NDArray[np.float64] | None = None,
     way: NDArray[np.float64] | None = None,
+    classifier: RoomClassifier | None = None,
 ) -> Extraction:
     """Extract a topometric map from a cloud.
 
@@ -107,6 +109,8 @@ def extract(
         are 0 and z lies on the lowest floor, so that a layer of cell centres does.
     T_level_input : (4, 4) of an earlier map of this session; estimated by default
     way : (K, 3) float64, m, input frame, where the sensor was, in order; not known by default
+    classifier : tells kinds of rooms and joins cuts of corridors; by default the one that
+        `kinds.classifier` names
 
     Returns
     -------
@@ -119,11 +123,12 @@ def extract(
         No points, or no floor with z up.
     """
     watch = Stopwatch()
+    classifier = load_classifier(config.kinds.classifier) if classifier is None else classifier
     scene = _scene(points, config, origin, T_level_input, watch)
     grid = scene.grid
     with watch.stage("navigation"):
         navigable = _navigable(scene, config, way)
-    room, eyes = _rooms(scene, navigable, config, watch)
+    room, eyes = _rooms(scene, navigable, config, classifier, watch)
     with watch.stage("layers"):
         storeys = _map_storeys(scene, config)
         offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
@@ -134,7 +139,7 @@ def extract(
     with watch.stage("passages"):
         passages = passages_of(found, config.passages)
     with watch.stage("assemble"):
-        rooms = assemble_rooms(found, passages)
+        rooms = assemble_rooms(found, passages, classifier)
     x, y, z = (float(v) for v in grid.origin)
     result = TopometricMap(
         agent=agent,
@@ -273,7 +278,11 @@ def _navigable(
 
 
 def _rooms(
-    scene: _Scene, navigable: NDArray[np.int32], config: ExtractionConfig, watch: Stopwatch
+    scene: _Scene,
+    navigable: NDArray[np.int32],
+    config: ExtractionConfig,
+    classifier: RoomClassifier,
+    watch: Stopwatch,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Return the room of every voxel and the viewpoints."""
     with watch.stage("viewpoints"):
@@ -290,6 +299,7 @@ def _rooms(
                 (scene.points[:, :2] - scene.grid.origin[:2]) / RASTER,
                 scene.raster_of_point,
                 config.narrowings,
+                classifier,
             )
             room = majority(scene.cell_of_point, of_point)
     return room, eyes

@@ -36,7 +36,8 @@ def extract_map(
     T_up_input : (4, 4), identity by default; becomes a part of the map's `T_level_input`
     warnings : put before those of the extraction
     previous : an earlier map of the session, whose descriptors serve for rooms that are the same
-    identity : agent, session, sequence, frame_id, stamp, origin, T_level_input and way of `extract`
+    identity : agent, session, sequence, frame_id, stamp, origin, T_level_input, way and classifier
+        of `extract`
 
     Raises
     ------
