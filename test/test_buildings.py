@@ -247,14 +247,16 @@ def test_sidecars_replace_the_links_and_bring_walks(tmp_path):
         text + "- rooms: [room 0, room 6]\n  kind: opening\n  position: [5, 2.1, 0]\n"
     )
     trajectory_path(path).write_text(
-        "agents:\n- agent: a\n  rooms: [room 0, 2]\n"
-        "- agent: b\n  waypoints: [[1, 1, 0], [7, 1, 0]]\n"
+        "agents:\n- agent: a\n  rooms: [room 0, 2]\n- agent: b\n  waypoints: [[1, 1, 0], [7, 1]]\n"
     )
     corrected = load_building(str(path))
     assert [link.kind for link in corrected.links] == ["door", "opening"]
     assert corrected.links[1].rooms == (0, 2)
     assert corrected.trajectories[0].rooms == (0, 2)
-    assert corrected.trajectories[1].waypoints.shape == (2, 3)
+    np.testing.assert_array_equal(corrected.trajectories[1].waypoints, [[1, 1, 0], [7, 1, np.nan]])
+    trajectory_path(path).write_text("agents:\n- agent: b\n  waypoints: [1, 2, 3]\n")
+    with pytest.raises(BuildingError, match=r"agent b: waypoints: expected \[x, y\]"):
+        load_building(str(path))
 
 
 def test_damaged_buildings_are_refused_in_one_line(tmp_path):

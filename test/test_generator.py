@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -129,6 +131,23 @@ def test_furniture_can_be_told_from_the_structure_piece_by_piece():
 def test_a_building_that_cannot_be_made_is_refused(spec):
     with pytest.raises(ConfigurationError):
         load_building(spec)
+
+
+@pytest.mark.parametrize("shape", ["corridor=comb,storeys=2", "corridor=ring,wings=2,storeys=3"])
+def test_too_few_rooms_are_refused_with_the_smallest_number(shape):
+    with pytest.raises(ConfigurationError, match="at least") as caught:
+        load_building(f"office:{shape},rooms=5")
+    fewest = int(re.search(r"at least (\d+)", str(caught.value))[1])
+    assert is_one_piece(load_building(f"office:{shape},rooms={fewest}"))
+    with pytest.raises(ConfigurationError, match=f"at least {fewest}, got {fewest - 1}"):
+        load_building(f"office:{shape},rooms={fewest - 1}")
+
+
+def test_buildings_that_differ_have_names_that_differ():
+    specs = ("office:seed=3", "office:seed=3,rooms=20", "office:seed=3,rooms=20,windows=false")
+    names = [load_building(spec).name for spec in specs]
+    last = "office_straight_3_rooms20_windowsFalse"
+    assert names == ["office_straight_3", "office_straight_3_rooms20", last]
 
 
 @pytest.mark.parametrize("kind", ["office", "home", "hospital"])

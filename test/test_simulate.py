@@ -162,7 +162,7 @@ def test_ceilings_are_seen_by_whom_the_configuration_says(ready, building):
 
 
 def test_each_agent_has_its_resolution(ready):
-    config = configured(degrade__resolution=0.05, degrade__resolution_of_others=0.1)
+    config = configured(degrade__resolution=0.1, degrade__resolutions=[0.05])
     for agent, cell in zip(simulate(ready, config, 1, ONE_WALK).agents, (0.05, 0.1), strict=True):
         assert len(thinned(agent.points, cell)) == len(agent.points)
         assert len(thinned(agent.points, 2 * cell)) < len(agent.points)

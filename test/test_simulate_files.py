@@ -1,6 +1,7 @@
 """Simulated cases on disk: equal bytes, the shared layout, bags that align, and the command."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.merge import merge
 from topometric_ros.runtime.config import load_config
 from topometric_ros.runtime.sources import load_sources
+from topometric_ros.simulation import buildings
 from topometric_ros.simulation.buildings import load_building
 from topometric_ros.simulation.case import CaseError
 from topometric_ros.simulation.cases import prepare, read_case, simulate, write_case
+from topometric_ros.simulation.labelled import Trajectory
+from topometric_ros.simulation.recording import RecordingError
 from topometric_ros.simulation.simulation_config import load_simulation_config, parse_walk
 from topometric_ros.simulation.trajectories import TrajectoryError
 
@@ -66,7 +70,7 @@ def test_the_folder_has_the_layout_of_the_shared_pairs(ready, tmp_path):
     shared = DATA / "duplex_101"
     write_case(simulate(ready, configured(), 1), tmp_path / "case")
     theirs, ours = (json.loads((f / "truth.json").read_text()) for f in (shared, tmp_path / "case"))
-    assert set(theirs) == set(ours)
+    assert set(theirs) | {"room_names"} == set(ours)
     assert np.shape(theirs["a_from_b"]) == np.shape(ours["a_from_b"])
     np.testing.assert_allclose(
         np.array(ours["a_from_world"]), ours["a_from_b"] @ np.array(ours["b_from_world"])
@@ -124,6 +128,9 @@ def test_the_command_writes_cases_and_says_what_they_share(tmp_path, capsys):
         (["--walk", "99,1"], "nobody can stand in room 99"),
         (["--walk", "here"], "walk: expected room ids"),
         (["--walk", "1,2", "--agents", "2"], "expected a walk for each of 2 agents, got 1"),
+        (["--walk", "500 500; 501 500"], "within 1 m of the waypoint (500, 500) m; the nearest"),
+        (["--seed", "-1"], "--seed: expected at least 0, got -1"),
+        (["--count", "0"], "--count: expected at least 1, got 0"),
     ],
 )
 def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path, capsys, arguments, message):
@@ -131,6 +138,44 @@ def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path, capsys, argument
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("listed", [1, 3])
+def test_walks_beside_a_building_make_the_agents(tmp_path, capsys, monkeypatch, listed):
+    walks = [Trajectory(f"robot{k}", (1,), np.zeros((0, 3))) for k in range(listed)]
+    walked = replace(load_building(SPEC), trajectories=tuple(walks))
+    monkeypatch.setattr(buildings, "load_building", lambda spec: walked)
+    file = tmp_path / "f.yaml"
+    file.write_text("sensor: {lidar: {rings: 8, azimuths: 60}}\n")
+    command = ["simulate", SPEC, "-o", str(tmp_path), "--config", str(file)]
+    assert main([*command, "--overlap", "0.5"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("points in 1 rooms") == listed
+    assert ("a–c" in said) == (listed == 3)
+    assert "warning: overlap: not sought" in said
+    assert main([*command, "--agents", "2"]) == 2
+    assert f"expected a walk for each of 2 agents, got {listed}" in capsys.readouterr().err
+
+
+def test_a_case_leaves_nothing_of_the_one_before_it(ready, tmp_path):
+    write_case(simulate(ready, configured(agents=3), 1), tmp_path, "maps")
+    (tmp_path / "notes.txt").write_text("kept")
+    write_case(simulate(ready, configured(agents=1), 1, ONE_WALK[:1]), tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    own = {"a.ply", "a.trajectories.json", "truth.json", "truth.npz"}
+    assert names == {*own, "notes.txt"}
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert truth["room_names"] == [room.name for room in ready.building.rooms]
+    write_case(simulate(ready, configured(agents=1), 1, ONE_WALK[:1]), tmp_path, "maps")
+    (tmp_path / "bag" / "mine.mcap.txt").write_text("kept")
+    with pytest.raises(RecordingError, match="exists"):
+        write_case(simulate(ready, configured(agents=1), 1, ONE_WALK[:1]), tmp_path, "maps")
+
+
+@pytest.mark.parametrize(("cells", "shown"), [([0.1, 0.2, 0.3], "0.3"), (["fine"], "fine")])
+def test_resolutions_are_checked_before_anything_is_scanned(ready, cells, shown):
+    with pytest.raises(ConfigurationError, match=f"up to 2 of 0.0..1.0 m.*{shown}"):
+        simulate(ready, configured(degrade__resolutions=cells), 1, ONE_WALK)
 
 
 def test_a_parameter_file_is_checked(tmp_path):

@@ -15,6 +15,7 @@ from topometric_ros.cli.common import (
     report,
     warning_lines,
 )
+from topometric_ros.configuration import with_values
 from topometric_ros.errors import TopometricError
 
 if TYPE_CHECKING:
@@ -34,7 +35,8 @@ def add_parser(commands: Any) -> None:
         "simulate",
         help="make agents' maps of a building, with the truth",
         description="Write OUT/NAME_SEED/ with a.ply, b.ply, truth.json, truth.npz and, where "
-        "asked for, bag/, for each case. The same arguments give the same bytes.",
+        "asked for, bag/, for each case; an earlier case of that name is replaced. The same "
+        "arguments give the same bytes.",
     )
     command.add_argument(
         "building",
@@ -49,7 +51,12 @@ def add_parser(commands: Any) -> None:
         help="write which rooms are joined, as found without a sidecar file, to correct by hand; "
         "without -o nothing else is done",
     )
-    command.add_argument("--agents", type=int, metavar="N", help="number of agents (default 2)")
+    command.add_argument(
+        "--agents",
+        type=int,
+        metavar="N",
+        help="number of agents (default: as many as there are walks by hand, else 2)",
+    )
     command.add_argument(
         "--overlap",
         type=float,
@@ -106,16 +113,17 @@ def _propose_graph(options: argparse.Namespace) -> None:
 def _simulate_cases(options: argparse.Namespace) -> int:
     from topometric_ros.simulation import cases
     from topometric_ros.simulation.buildings import load_building
-    from topometric_ros.simulation.simulation_config import load_simulation_config, parse_walk
+    from topometric_ros.simulation.simulation_config import parse_walk
 
-    wanted = {"agents": options.agents, "overlap": options.overlap}
-    if options.walk and options.agents is None:
-        wanted["agents"] = len(options.walk)
-    config = load_simulation_config(options.config, wanted)
+    for name, least in (("seed", 0), ("count", 1)):
+        if getattr(options, name) < least:
+            given = getattr(options, name)
+            raise SimulateArgumentError(f"--{name}: expected at least {least}, got {given}")
     walks = [parse_walk(text) for text in options.walk]
     progress = progress_of(options)
     progress(f"reading {options.building}")
     building = load_building(options.building)
+    config = _config(options, len(walks), len(building.trajectories))
     ready = cases.prepare(building, config)
     folder = output_folder(options)
     rows = []
@@ -126,24 +134,44 @@ def _simulate_cases(options: argparse.Namespace) -> int:
         cases.write_case(case, folder / name, options.bag)
         rows.append(_row(name, case))
     finish_progress(options)
-    warnings = _warnings(building, config)
+    warnings = _warnings(options, building, config)
     lines = [*map(_line, rows), *warning_lines(warnings), f"written to {folder}"]
     report(options, {"cases": rows, "warnings": warnings}, lines)
     return 0
 
 
-def _warnings(building: LabelledBuilding, config: SimulationConfig) -> list[str]:
-    """Return what was asked for and cannot be had in this building."""
+def _config(options: argparse.Namespace, given: int, beside: int) -> SimulationConfig:
+    """Return the parameters; walks given, else those beside the building, make the agents."""
+    from topometric_ros.simulation.cases import SimulationConfig
+    from topometric_ros.simulation.simulation_config import load_simulation_config
+
+    usual = SimulationConfig()
+    if beside and not given:
+        # Not the last word, as walks given are: the file of parameters may ask for others.
+        usual = with_values(usual, {"agents": beside})
+    agents = options.agents if options.agents is not None else given or None
+    wanted = {"agents": agents, "overlap": options.overlap}
+    return load_simulation_config(options.config, wanted, usual)
+
+
+def _warnings(
+    options: argparse.Namespace, building: LabelledBuilding, config: SimulationConfig
+) -> list[str]:
+    """Return what was asked for and cannot be had."""
     from topometric_ros.simulation.degrade import furniture_pieces
 
-    if config.degrade.moved == 0.0 or furniture_pieces(building):
-        return []
-    return [f"degrade.moved: {building.name} has no furniture that could be moved"]
+    warnings = []
+    if options.overlap is not None and (options.walk or building.trajectories):
+        warnings.append("overlap: not sought, as the agents walk as they were told")
+    if config.degrade.moved > 0.0 and not furniture_pieces(building):
+        warnings.append(f"degrade.moved: {building.name} has no furniture that could be moved")
+    return warnings
 
 
 def _row(name: str, case: Any) -> dict[str, Any]:
     return {
         "name": name,
+        "pairs": [[case.agents[k].id for k in pair] for pair in case.pairs()],
         "overlap": [round(float(value), 4) for value in case.overlap],
         "points": {agent.id: len(agent.points) for agent in case.agents},
         "rooms": {agent.id: list(agent.rooms_walked) for agent in case.agents},
@@ -151,7 +179,11 @@ def _row(name: str, case: Any) -> dict[str, Any]:
 
 
 def _line(row: dict[str, Any]) -> str:
-    overlap = ", ".join(f"{100 * value:.0f} %" for value in row["overlap"]) or "none"
+    shares = [f"{100 * value:.0f} %" for value in row["overlap"]]
+    if len(shares) > 1:
+        names = ("–".join(pair) for pair in row["pairs"])
+        shares = [f"{name} {share}" for name, share in zip(names, shares, strict=True)]
+    overlap = ", ".join(shares) or "none"
     agents = ", ".join(
         f"{key}: {count:,} points in {len(row['rooms'][key])} rooms"
         for key, count in row["points"].items()

@@ -1,6 +1,7 @@
 """Cases as folders: a.ply, a.trajectories.json, ..., truth.json, truth.npz and, on demand, a bag.
 
-`truth.json` holds plan, seed, overlap, a_from_b, X_from_world, rooms_X, points, poses and edges;
+`truth.json` holds plan, seed, overlap, a_from_b, X_from_world, rooms_X, points, poses, edges and
+room_names;
 `truth.npz` the room of every point under the agent's id and, as poses_X and scan_X, from where it
 was seen. Other writers leave some of that out.
 """
@@ -23,7 +24,7 @@ from topometric_ros.simulation.recording import PERIOD, START
 
 
 def write_case(case: Case, folder: Path, bag: str = "") -> None:
-    """Write a case into a folder, which is made.
+    """Write a case into a folder, which is made; what an earlier case left there is removed.
 
     Parameters
     ----------
@@ -33,11 +34,12 @@ def write_case(case: Case, folder: Path, bag: str = "") -> None:
     Raises
     ------
     TopometricError
-        The kind of bag is unknown or folder/bag exists already.
+        The kind of bag is unknown or folder/bag holds what no case has written.
     """
     from topometric_ros.simulation.case_bags import write_bag
 
     folder.mkdir(parents=True, exist_ok=True)
+    _clear(folder)
     if bag:
         write_bag(case, folder / "bag", bag)
     arrays: dict[str, NDArray[Any]] = {}
@@ -52,6 +54,17 @@ def write_case(case: Case, folder: Path, bag: str = "") -> None:
         arrays[f"scan_{agent.id}"] = agent.scan_of_point.astype(np.int32)
     np.savez_compressed(folder / "truth.npz", **arrays)  # type: ignore[arg-type]
     (folder / "truth.json").write_text(json.dumps(_truth(case)) + "\n")
+
+
+def _clear(folder: Path) -> None:
+    """Remove the files of an earlier case, which may have had more agents, or a bag."""
+    own = ["truth.json", "truth.npz", "[a-z].ply", "[a-z].trajectories.json"]
+    for pattern in [*own, "bag/metadata.yaml", "bag/*.mcap"]:
+        for path in folder.glob(pattern):
+            path.unlink()
+    bag = folder / "bag"
+    if bag.is_dir() and not any(bag.iterdir()):
+        bag.rmdir()
 
 
 def read_case(folder: Path) -> Case:
@@ -119,6 +132,8 @@ def _truth(case: Case) -> dict[str, Any]:
     truth["points"] = {agent.id: len(agent.points) for agent in agents}
     truth["poses"] = {agent.id: len(agent.poses) for agent in agents}
     truth["edges"] = [list(edge) for edge in case.edges]
+    if case.building is not None:
+        truth["room_names"] = [room.name for room in case.building.rooms]
     if len(agents) > 2:
         truth["overlaps"] = case.overlap.tolist()
     return truth

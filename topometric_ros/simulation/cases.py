@@ -103,33 +103,33 @@ def simulate(
     ----------
     building : or what `prepare` made of it with the same configuration, which saves time
     seed : of everything that is drawn
-    walks : one for each agent; empty: the building's own, sampled where it has too few
+    walks : one for each agent; empty: the building's own, sampled where it has none
 
     Raises
     ------
     TopometricError
-        The building cannot be walked so, or an agent has seen nothing.
+        The building cannot be walked so, there are not as many walks as agents, or an agent has
+        seen nothing.
     """
     ready = building if isinstance(building, Prepared) else prepare(building, config)
     building = ready.building
     planning, *streams = np.random.SeedSequence(seed).spawn(1 + config.agents)
+    walks = list(walks) or [Walk(t.rooms, t.waypoints) for t in building.trajectories]
     if walks and len(walks) != config.agents:
-        raise CaseError(f"expected a walk for each of {config.agents} agents, got {len(walks)}")
-    walks = list(walks) or _own_walks(ready)
-    if len(walks) < config.agents:
+        raise CaseError(
+            f"{building.name}: expected a walk for each of {config.agents} agents, got {len(walks)}"
+        )
+    if not walks:
         rng = np.random.default_rng(planning)
         wanted = (config.overlap, config.agents, config.visits)
         walks = sampled_walks(ready.walkable, ready.forecast, *wanted, rng)
+    cells = degrade.resolutions_of(config.degrade, config.agents)
     agents, seen = [], []
-    for k, (walk, stream) in enumerate(zip(walks, streams, strict=False)):
-        agent, hits = _agent(ready, config, k, walk, stream)
+    for k, (walk, stream) in enumerate(zip(walks, streams, strict=True)):
+        agent, hits = _agent(ready, config, k, cells[k], walk, stream)
         agents.append(agent)
         seen.append(hits)
     return Case(building.name, seed, tuple(agents), overlaps_of(seen), _edges(building), building)
-
-
-def _own_walks(ready: Prepared) -> list[Walk]:
-    return [Walk(t.rooms, t.waypoints) for t in ready.building.trajectories]
 
 
 def _edges(building: LabelledBuilding) -> tuple[tuple[int, int], ...]:
@@ -142,6 +142,7 @@ def _agent(
     ready: Prepared,
     config: SimulationConfig,
     k: int,
+    cell: float,
     walk: Walk,
     stream: np.random.SeedSequence,
 ) -> tuple[SimulatedAgent, NDArray[np.float64]]:
@@ -162,7 +163,7 @@ def _agent(
         raise CaseError(f"{building.name}: agent {k} saw nothing on a walk of {len(poses)} poses")
     T_agent_building = degrade.random_frame(config.degrade, of_frame)
     believed = T_agent_building @ degrade.drifted(poses, config.degrade, of_drift)
-    points, returns = _mapped(poses, believed, returns, config.degrade, k)
+    points, returns = _mapped(poses, believed, returns, cell)
     room = building.room_of(returns.hits, returns.towards)
     if not degrade.sees_ceiling(config.degrade, k):
         kept = degrade.below_ceiling(building, returns.hits, room)
@@ -184,10 +185,12 @@ def _mapped(
     poses: NDArray[np.float64],
     believed: NDArray[np.float64],
     returns: Returns,
-    config: DegradeConfig,
-    k: int,
+    cell: float,
 ) -> tuple[NDArray[np.float64], Returns]:
-    """Put returns where the agent believes that they are, thinned: points (N, 3), agent frame."""
+    """Put returns where the agent believes that they are: points (N, 3), agent frame.
+
+    One is kept in each cell of edge `cell`, m.
+    """
     measured = returns.hits - returns.towards * returns.error[:, None]
     moves = believed @ np.linalg.inv(poses)
     points = np.empty_like(measured)
@@ -197,8 +200,7 @@ def _mapped(
         points[start:end] = measured[start:end] @ move[:3, :3].T + move[:3, 3]
     # Single precision, as files and messages hold them.
     points = points.astype(np.float32).astype(np.float64)
-    cell = config.resolution_of_others if k > 0 else config.resolution
-    kept = degrade.thinned(points, cell or config.resolution)
+    kept = degrade.thinned(points, cell)
     return points[kept], replace(
         returns,
         hits=returns.hits[kept],

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
+from topometric_ros.errors import ConfigurationError
 from topometric_ros.simulation.agents import rotation, translation
 from topometric_ros.simulation.labelled import LabelledBuilding
 
@@ -61,12 +62,8 @@ class DegradeConfig:
         minimum=0.0,
         maximum=1.0,
     )
-    resolution_of_others: float = parameter(
-        0.0,
-        "The same for every agent after the first; 0: as the first.",
-        unit="m",
-        minimum=0.0,
-        maximum=1.0,
+    resolutions: tuple[str, ...] = parameter(
+        (), "The same for each agent, in their order; those not named have `resolution`.", unit="m"
     )
     frame_offset: float = parameter(
         30.0,
@@ -151,6 +148,26 @@ def move_furniture(
         if rooms[0] >= 0 and (rooms == rooms[0]).all():
             vertices[own] = moved
     return vertices
+
+
+def resolutions_of(config: DegradeConfig, agents: int) -> list[float]:
+    """Return the edge of the cells that keep one point each, for each agent, m; 0 keeps all.
+
+    Raises
+    ------
+    ConfigurationError
+        One of `resolutions` is no such length, or there are more than agents.
+    """
+    try:
+        cells = [float(cell) for cell in config.resolutions]
+    except ValueError:
+        cells = [np.nan]
+    if len(cells) > agents or not all(0.0 <= cell <= 1.0 for cell in cells):
+        raise ConfigurationError(
+            f"degrade.resolutions: expected up to {agents} of 0.0..1.0 m, one an agent, "
+            f"got {', '.join(config.resolutions)}"
+        )
+    return cells + [config.resolution] * (agents - len(cells))
 
 
 def sees_ceiling(config: DegradeConfig, agent: int) -> bool:

@@ -6,14 +6,16 @@ rectangle; every storey has the same corridors and its own rooms.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from topometric_ros.configuration import parameter, with_values
+from topometric_ros.configuration import flatten, parameter, with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.simulation.building import BuildingConfig, Opening
 from topometric_ros.simulation.generator_assembly import Assembly
@@ -135,7 +137,10 @@ def generate(config: GeneratorConfig) -> LabelledBuilding:
 
 
 def _name(config: GeneratorConfig) -> str:
-    return f"{config.kind}_{config.corridor}_{config.seed}"
+    """Return kind, corridor, seed and then what else is not as usual: office_ring_3_rooms40."""
+    usual = flatten(GeneratorConfig(kind=config.kind, corridor=config.corridor, seed=config.seed))
+    changed = [f"_{name}{value}" for name, value in flatten(config).items() if value != usual[name]]
+    return f"{config.kind}_{config.corridor}_{config.seed}" + "".join(changed)
 
 
 def _rooms_of_blocks(config: GeneratorConfig, style: Style) -> list[list[int]]:
@@ -169,12 +174,11 @@ def _designs(
     rng: np.random.Generator,
 ) -> list[list[Design]]:
     """Return the rooms of each strip of a block; the first leaves room for the stairs."""
-    lengths = np.array([strip.length for strip in layout.strips])
-    lengths[0] -= STAIRS_WIDTH if stairs else 0.0
-    if count < len(lengths) or min(lengths) < 2.0:
+    lengths = _free_lengths(layout, stairs)
+    if not _holds(layout, count, stairs):
         raise ConfigurationError(
-            f"rooms: the main block has {len(lengths)} rows of rooms on each storey "
-            f"(corridor {config.corridor}), got {count} rooms for them"
+            f"rooms: corridor {config.corridor}, {config.storeys} storeys and {config.wings} wings "
+            f"need at least {_fewest(config, style)}, got {config.rooms}"
         )
     places = 1 + np.zeros(len(lengths), dtype=int)
     for _ in range(count - len(lengths)):
@@ -186,6 +190,31 @@ def _designs(
         designs.append([design_room(style, w, strip.facade, options, rng) for w in widths])
     make_twins(designs, config.twins, rng)
     return designs
+
+
+def _free_lengths(layout: Layout, stairs: bool) -> NDArray[np.float64]:
+    """Return how much of each strip of a block is for rooms, m."""
+    lengths = np.array([strip.length for strip in layout.strips])
+    lengths[0] -= STAIRS_WIDTH if stairs else 0.0
+    return lengths
+
+
+def _holds(layout: Layout, count: int, stairs: bool) -> bool:
+    """Return whether a block has a room for each of its strips, and space for it."""
+    lengths = _free_lengths(layout, stairs)
+    return count >= len(lengths) and float(lengths.min()) >= 2.0
+
+
+def _fewest(config: GeneratorConfig, style: Style) -> int:
+    """Return the smallest number of rooms that a building of this shape can have."""
+
+    def possible(rooms: int) -> bool:
+        counts = _rooms_of_blocks(dataclasses.replace(config, rooms=rooms), style)
+        layouts = _layouts(config, style, [max(column) for column in zip(*counts, strict=True)])
+        stairs = [config.storeys > 1, *(False for _ in layouts[1:])]
+        return all(all(map(_holds, layouts, row, stairs)) for row in counts)
+
+    return next(filter(possible, itertools.count(1)))
 
 
 def _doors_between(designs: list[list[Design]], rng: np.random.Generator) -> set[tuple[int, int]]:

@@ -57,7 +57,8 @@ class TrueLink:
 class Trajectory:
     """A walk by hand from a sidecar file: rooms to visit or, where given, waypoints.
 
-    `waypoints` are (W, 3) float64, m, building frame, on the floor; empty where `rooms` count.
+    `waypoints` are (W, 3) float64, m, building frame, on the floor, z NaN: on the lowest floor
+    there; empty where `rooms` count.
     """
 
     agent: str

@@ -7,11 +7,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from topometric_ros.simulation.building import BuildingError
 from topometric_ros.simulation.labelled import LabelledBuilding, Trajectory, TrueLink
@@ -62,6 +64,20 @@ def write_graph(building: LabelledBuilding, path: Path) -> None:
     path.write_text(lines + yaml.safe_dump({"links": links}, sort_keys=False), encoding="utf-8")
 
 
+def waypoints_of(stops: Sequence[Sequence[float | str]]) -> NDArray[np.float64]:
+    """Return waypoints x y z or x y, m, as (W, 3); z is NaN where it is left out.
+
+    Raises
+    ------
+    ValueError, TypeError
+        One has fewer or more numbers, or one that is not finite.
+    """
+    rows = [[float(number) for number in stop] for stop in stops]
+    if any(len(row) not in (2, 3) or not np.isfinite(row).all() for row in rows):
+        raise ValueError("expected two or three finite numbers each")
+    return np.array([[*row, np.nan][:3] for row in rows]).reshape(-1, 3)
+
+
 def _beside(building: Path, what: str) -> Path:
     stem = building.name if building.is_dir() else building.stem
     return building.with_name(f"{stem}.{what}.yaml")
@@ -86,11 +102,17 @@ def _link(building: LabelledBuilding, entry: dict[str, Any]) -> TrueLink:
 
 
 def _walk(building: LabelledBuilding, entry: dict[str, Any]) -> Trajectory:
+    agent, stops = str(entry["agent"]), entry.get("waypoints", ())
     rooms = tuple(_room(building, reference) for reference in entry.get("rooms", ()))
-    waypoints = np.array(entry.get("waypoints", ()), dtype=np.float64).reshape(-1, 3)
+    try:
+        waypoints = waypoints_of(stops)
+    except (TypeError, ValueError):
+        raise BuildingError(
+            f"agent {agent}: waypoints: expected [x, y] or [x, y, z] each, in m, got {stops!r}"
+        ) from None
     if len(rooms) + len(waypoints) < 1:
-        raise BuildingError(f"agent {entry['agent']}: expected rooms or waypoints, got neither")
-    return Trajectory(str(entry["agent"]), rooms, waypoints)
+        raise BuildingError(f"agent {agent}: expected rooms or waypoints, got neither")
+    return Trajectory(agent, rooms, waypoints)
 
 
 def _reference(building: LabelledBuilding, room: int) -> str | int:

@@ -11,17 +11,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from topometric_ros.configuration import from_nested, with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.simulation.cases import SimulationConfig
+from topometric_ros.simulation.sidecars import waypoints_of
 from topometric_ros.simulation.trajectories import TrajectoryError, Walk
 
 
 def load_simulation_config(
-    path: Path | None, values: Mapping[str, Any] | None = None
+    path: Path | None,
+    values: Mapping[str, Any] | None = None,
+    defaults: SimulationConfig | None = None,
 ) -> SimulationConfig:
     """Return the defaults, changed by a YAML file and then by values that are not None.
 
@@ -30,7 +32,7 @@ def load_simulation_config(
     ConfigurationError
         The file is not YAML, or names something unknown or out of its range.
     """
-    config = SimulationConfig()
+    config = defaults or SimulationConfig()
     if path is not None:
         try:
             tree = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
@@ -50,6 +52,8 @@ def load_simulation_config(
 def parse_walk(text: str) -> Walk:
     """Read a walk: room ids with commas, or waypoints x y [z] in metres with semicolons.
 
+    A waypoint without z lies on the lowest floor there.
+
     Raises
     ------
     TrajectoryError
@@ -60,16 +64,13 @@ def parse_walk(text: str) -> Walk:
     >>> parse_walk("0, 4, 7").rooms
     (0, 4, 7)
     >>> parse_walk("1.5 2; 4 2 0.1").waypoints.tolist()
-    [[1.5, 2.0, 0.0], [4.0, 2.0, 0.1]]
+    [[1.5, 2.0, nan], [4.0, 2.0, 0.1]]
     """
     try:
         if ";" not in text:
             return Walk(rooms=tuple(int(room) for room in text.split(",")))
-        stops = [[float(number) for number in stop.split()] for stop in text.split(";")]
-        if any(len(stop) not in (2, 3) or not np.isfinite(stop).all() for stop in stops):
-            raise ValueError(text)
+        return Walk(waypoints=waypoints_of([stop.split() for stop in text.split(";")]))
     except ValueError as error:
         raise TrajectoryError(
             f"walk: expected room ids (0,4,7) or waypoints (1.5 2 0; 4 2 0), got {text!r}"
         ) from error
-    return Walk(waypoints=np.array([[*stop, 0.0][:3] for stop in stops]))

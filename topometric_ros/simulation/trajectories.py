@@ -39,7 +39,10 @@ _LONG = 0.08
 
 @dataclass(frozen=True)
 class Walk:
-    """What an agent is told: rooms to visit in turn or, where given, waypoints (W, 3), m."""
+    """What an agent is told: rooms to visit in turn or, where given, waypoints (W, 3), m.
+
+    A waypoint whose z is NaN lies on the lowest floor there.
+    """
 
     rooms: tuple[int, ...] = ()
     waypoints: NDArray[np.float64] | None = None
@@ -51,7 +54,7 @@ def way_of(walk: Walk, walkable: Walkable) -> NDArray[np.int64]:
     Raises
     ------
     TrajectoryError
-        The walk names nowhere to go, or a way that does not exist.
+        The walk names nowhere to go, a waypoint far from all places, or a way that does not exist.
     """
     if walk.waypoints is not None and len(walk.waypoints):
         stops = [walkable.nearest(position) for position in walk.waypoints]

@@ -26,6 +26,8 @@ _NARROW = 0.3
 """How much longer a way through narrow places counts: 1 + this / clearance in m."""
 _AT_LINK = 1.5
 """How far from a link's middle the places that it joins may lie, m; three times that for stairs."""
+_NEAR, _NEAR_IN_HEIGHT = 1.0, 1.5
+"""How far from a waypoint an agent may walk instead, m; the latter is less than a storey."""
 
 
 class TrajectoryError(TopometricError):
@@ -71,8 +73,22 @@ class Walkable:
             raise TrajectoryError(f"{building.name}: no room has floor to stand on")
 
     def nearest(self, position: NDArray[np.float64]) -> int:
-        """Return the place nearest to a position (3,), m."""
-        return int(np.argmin(np.linalg.norm(self.places - position, axis=1)))
+        """Return the place nearest to a position (3,), m; z NaN: in the plan, the lowest one.
+
+        Raises
+        ------
+        TrajectoryError
+            Nobody can stand near it.
+        """
+        away = np.nan_to_num(self.places - position)
+        best = int(np.argmin(np.linalg.norm(away, axis=1)))
+        if np.hypot(*away[best, :2]) > _NEAR or abs(away[best, 2]) > _NEAR_IN_HEIGHT:
+            at = ", ".join(f"{v:g}" for v in position if np.isfinite(v))
+            raise TrajectoryError(
+                f"{self.building.name}: nobody can stand within {_NEAR:g} m of the waypoint "
+                f"({at}) m; the nearest place is {self._words(best)}"
+            )
+        return best
 
     def lengths_from(self, place: int) -> NDArray[np.float64]:
         """Return how far it is to every place, narrow ways counted longer: (N,), inf: no way."""
