@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,12 +45,21 @@ def add_parser(commands: Any) -> None:
         help="two or more clouds, bags (BAG[:TOPIC]) or .tmap files; the first is the anchor",
     )
     add_arguments(command)
+    command.add_argument(
+        "--prior",
+        action="append",
+        default=[],
+        metavar="YAML",
+        help="what is known beforehand, as 'between: [a, b], position: [12, 3, 0], yaw: 90, "
+        "sigma: 1.5, yaw_sigma: 15' (m, degrees); may be given several times",
+    )
     command.set_defaults(command=merge)
 
 
 def merge(options: argparse.Namespace) -> int:
     """Load every source, merge the maps and write the result."""
     from topometric_ros.fusion.merge import merge as merge_maps
+    from topometric_ros.fusion.priors import parse_priors
     from topometric_ros.io.merge_files import merge_summary, rounded_timings
     from topometric_ros.runtime.sources import load_sources
 
@@ -58,6 +68,9 @@ def merge(options: argparse.Namespace) -> int:
             f"merging takes at least two sources, got {len(options.sources)}: {options.sources[0]}"
         )
     config, progress = config_of(options), progress_of(options)
+    priors = (*config.merge.priors, *(f"{{{text.strip('{} ')}}}" for text in options.prior))
+    config = dataclasses.replace(config, merge=dataclasses.replace(config.merge, priors=priors))
+    parse_priors(priors)
     loaded = load_sources(options.sources, config, inputs_of(options), progress)
     timings: dict[str, float] = {}
     for entry in loaded:

@@ -14,36 +14,32 @@ import numpy as np
 
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, with_prior
+from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.consensus import consensus
 from topometric_ros.fusion.gates import missed_gate, objection
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
 from topometric_ros.fusion.prepared import Prepared
+from topometric_ros.fusion.priors import Prior, parse_priors, prior_between
 from topometric_ros.fusion.registration import (
     Registration,
-    RegistrationConfig,
     RegistrationError,
     register,
 )
 from topometric_ros.fusion.rivals import Judged
+from topometric_ros.fusion.scale import stretch, unlike_scale
 from topometric_ros.fusion.verification import Decision, decide, doubt_repeated
 from topometric_ros.matching.candidate import Candidate
-from topometric_ros.matching.evidence import Evidence, evaluate, refine
+from topometric_ros.matching.evidence import Evidence, evaluate
 from topometric_ros.matching.likeness import likeness
-from topometric_ros.matching.propose import propose_from_rooms, room_distances
-from topometric_ros.matching.search import search_poses
+from topometric_ros.matching.propose import room_distances
 from topometric_ros.matching.search_fields import ScoringConfig
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
-
-ROUGH = RegistrationConfig(gates=("1.2", "0.6", "0.3"), points=800, steps=6)
-"""Brings a pose read from rooms' centroids, a metre off at times, to where refining can start."""
-
-SAME_POSE = 0.2
-"""Mean displacement of b's rooms, m, below which two roughly registered poses are one."""
 
 SAME_ROOM_SHARE = 0.5
 """Share of what both maps saw of the smaller of two rooms that makes them the same place."""
@@ -80,13 +76,32 @@ def align(
     if not (len(a.map.voxels) and len(b.map.voxels)):
         empty = a if len(a.map.voxels) == 0 else b
         return _refused(a, b, AlignmentStatus.NONE, f"the map of {empty.map.agent!r} is empty")
-    candidates = _candidates(a, b, config, watch)
+    coarser = max(a.map.voxel_size, b.map.voxel_size)
+    a, b = a.at(coarser), b.at(coarser)
+    prior = prior_between(parse_priors(config.priors), a.map.agent, b.map.agent)
+    alignment = _aligned(a, b, config, watch, prior)
+    if prior is not None:
+        alignment = with_prior(alignment, prior, a, b, config)
+    told = None if alignment.accepted else unlike_scale(a.map, b.map)
+    return alignment if told is None else replace(alignment, reason=f"{told} ({alignment.reason})")
+
+
+def _aligned(
+    a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch, prior: Prior | None
+) -> Alignment:
+    """Align two maps of one resolution."""
+    candidates = find_candidates(a, b, config, watch)
     if config.check != "rivals":
         return _believed(a, b, candidates, config, watch)
+    if prior is not None:
+        candidates.append(candidate_of(prior, a, b, config))
     with watch.stage("evidence"):
         judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, _scoring(config))) for c in candidates]
         decision = decide(judged, config.verification)
-        decision = _unless_repeated(a, b, judged, decision, config)
+        if prior is not None:
+            judged, decision = decide_by_prior(judged, decision, prior, a, b, config)
+        else:
+            decision = _unless_repeated(a, b, judged, decision, config)
     alternatives = _alternatives(a, b, decision)
     if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
         refused = _refused(a, b, decision.status, decision.reason)
@@ -113,55 +128,6 @@ def _unless_repeated(
         return decision
     share = likeness(a.fields, b.fields, candidate.T_a_b, _scoring(config))
     return doubt_repeated(decision, evidence, share, limits)
-
-
-def _candidates(a: Prepared, b: Prepared, config: MergeConfig, watch: Stopwatch) -> list[Candidate]:
-    """Return the candidates of all sources; those of rooms are refined where they get judged."""
-    candidates: list[Candidate] = []
-    if "rooms" in config.sources:
-        with watch.stage("matching"):
-            proposed = propose_from_rooms(a.described, b.described, config.matching)
-        if config.check == "rivals":
-            with watch.stage("refinement"):
-                proposed = _refined(a, b, proposed, config)
-        candidates += proposed
-    if "search" in config.sources:
-        with watch.stage("search"):
-            candidates += search_poses(a.fields, b.fields, config.search)
-    return candidates
-
-
-def _refined(
-    a: Prepared, b: Prepared, candidates: list[Candidate], config: MergeConfig
-) -> list[Candidate]:
-    """Return the most promising candidates from rooms where they fit best nearby.
-
-    All are registered roughly. Many then end at one pose, of which the first, with most matches,
-    goes on; and of the distinct ones those that score best, because refining costs most.
-    """
-    centroids = np.array([room.centroid for room in b.map.rooms])
-    ended: list[Candidate] = []
-    for candidate in candidates:
-        T = _rough(a, b, candidate)
-        if all(apart(T, other.T_a_b, centroids) >= SAME_POSE for other in ended):
-            ended.append(replace(candidate, T_a_b=T))
-    scores = [evaluate(a.fields, b.fields, c.T_a_b, _scoring(config)).score for c in ended]
-    best = np.argsort(-np.array(scores), kind="stable")[: config.refined_rooms]
-    return [
-        replace(ended[k], T_a_b=refine(a.fields, b.fields, ended[k].T_a_b, _scoring(config)))
-        for k in sorted(best.tolist())
-    ]
-
-
-def _rough(a: Prepared, b: Prepared, candidate: Candidate) -> Transform:
-    """Register the matched rooms of b on all of a, which brings the pose to about a voxel."""
-    rooms = [match.room_b for match in candidate.matches]
-    part = b.surface.take(np.isin(b.map.room, rooms))
-    try:
-        return register(part, a.surface, candidate.T_a_b, ROUGH, a.tree).T_target_source
-    except RegistrationError as error:
-        logger.debug("a candidate from rooms was not registered: %s", error)
-        return candidate.T_a_b
 
 
 def _registered(
@@ -191,10 +157,28 @@ def _registered(
             f"registration moved the pose by {moved:.2f} m, at most "
             f"{config.largest_correction:g} m are believed"
         )
+    refusal = refusal or _stretched(a, b, T, config, watch)
     if refusal is not None:
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {refusal}")
         return replace(refused, alternatives=alternatives, score=evidence.value)
     return _accepted(a, b, result, decision, alternatives[1:], evidence, config, watch)
+
+
+def _stretched(
+    a: Prepared, b: Prepared, T: Transform, config: MergeConfig, watch: Stopwatch
+) -> str | None:
+    """Return in words why two maps that fit are of unlike scale, or None."""
+    try:
+        with watch.stage("registration"):
+            factor, spread = stretch(b.surface, a.surface, T, config.registration, a.tree)
+    except RegistrationError as error:
+        return str(error)
+    if abs(factor - 1.0) - 2.0 * spread <= config.largest_stretch:
+        return None
+    return (
+        f"{a.map.agent} is {factor:.3f} times as large as {b.map.agent} "
+        f"(± {2.0 * spread:.3f}), {config.largest_stretch:g} more or less is believed"
+    )
 
 
 def _registration(

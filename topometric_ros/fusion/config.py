@@ -47,6 +47,18 @@ class MergeConfig:
         unit="m",
         minimum=0.0,
     )
+    largest_stretch: float = parameter(
+        0.03,
+        "Share by which one map may be larger than the other, as the surfaces that both hold tell.",
+        minimum=0.001,
+        maximum=1.0,
+    )
+    priors: tuple[str, ...] = parameter(
+        (),
+        "What is known beforehand of how agents lie to each other, a line of YAML each, as "
+        "'{between: [a, b], position: [12, 3, 0], yaw: 90, sigma: 1.5, yaw_sigma: 15}' "
+        "(m, degrees).",
+    )
     global_frame: str = parameter("global", "Name of the global map's frame.")
     matching: MatchingConfig = field(default_factory=MatchingConfig)
     search: SearchConfig = field(default_factory=SearchConfig)

@@ -35,7 +35,7 @@ _DRAWN_FIRST = 10
 
 
 @dataclass(frozen=True)
-class _Pairs:
+class Pairs:
     """Source points where they lie now, and their counterparts' normals and distances."""
 
     moved: NDArray[np.float64]
@@ -133,7 +133,7 @@ def measured(
     axes : what was turned about to find `T`; other turns have the variance of gravity
     """
     gate = gates_of(config, max(source.spacing, target.spacing))[-1]
-    pairs = _pairs(source, target, tree, T, gate, config)
+    pairs = pairs_of(source, target, tree, T, gate, config)
     return Registration(
         T_target_source=T,
         rmse=float(np.sqrt(np.mean(pairs.residuals**2))) if len(pairs.residuals) else 0.0,
@@ -157,20 +157,20 @@ def _icp(
     T = T_init.copy()
     for gate in gates:
         for _ in range(config.steps):
-            T, step = _step(_pairs(source, target, tree, T, gate, config), T, config, axes)
+            T, step = _step(pairs_of(source, target, tree, T, gate, config), T, config, axes)
             if step < 1e-4:
                 break
     return measured(source, target, tree, T, config, axes)
 
 
-def _pairs(
+def pairs_of(
     source: Surface,
     target: Surface,
     tree: cKDTree,
     T: Transform,
     gate: float,
     config: RegistrationConfig,
-) -> _Pairs:
+) -> Pairs:
     """Pair every source point with the nearest target point whose normal fits, within the gate.
 
     A pair's points may lie a voxel apart along the wall; only the distance across it is gated.
@@ -190,11 +190,11 @@ def _pairs(
     weights = (1.0 - (residuals / gate) ** 2) ** 2  # Tukey's biweight
     # Which side of a wall was seen may be unknown: it must not pull one face onto the other.
     weights[~sided[keep]] *= config.unsided_weight
-    return _Pairs(moved[rows[keep]], normals[keep], residuals, weights)
+    return Pairs(moved[rows[keep]], normals[keep], residuals, weights)
 
 
 def _step(
-    pairs: _Pairs, T: Transform, config: RegistrationConfig, axes: Axes
+    pairs: Pairs, T: Transform, config: RegistrationConfig, axes: Axes
 ) -> tuple[Transform, float]:
     """Take one Gauss-Newton step; return the new pose and how far it moved the pairs (m)."""
     if len(pairs.residuals) < config.smallest_pairs:
@@ -203,7 +203,7 @@ def _step(
             f"at least {config.smallest_pairs} are needed"
         )
     middle = pairs.moved.mean(axis=0)
-    J = _jacobian(pairs.normals, pairs.moved - middle, axes)
+    J = jacobian(pairs.normals, pairs.moved - middle, axes)
     H = J.T @ (pairs.weights[:, None] * J)
     # A corridor says nothing about its own length: damping keeps such a direction where it is.
     H += 1e-4 * np.trace(H) / len(H) * np.eye(len(H))
@@ -215,7 +215,7 @@ def _step(
     return turn @ T, angle * spread + float(np.linalg.norm(update[-3:]))
 
 
-def _jacobian(
+def jacobian(
     normals: NDArray[np.float64], arms: NDArray[np.float64], axes: Axes
 ) -> NDArray[np.float64]:
     """Return the change of each distance with the turns and (x, y, z): (n, k + 3)."""
@@ -223,14 +223,14 @@ def _jacobian(
 
 
 def _covariance(
-    pairs: _Pairs, T: Transform, spacing: float, config: RegistrationConfig, axes: Axes
+    pairs: Pairs, T: Transform, spacing: float, config: RegistrationConfig, axes: Axes
 ) -> NDArray[np.float64]:
     """Return the covariance (6, 6) of the pose from the Hessian and the residuals' variance.
 
     Neighbouring voxels err together, so a patch of `correlated_area` counts as one measurement;
     without that ten thousand pairs would promise a tenth of a millimetre.
     """
-    J = _jacobian(pairs.normals, pairs.moved - T[:3, 3], axes)
+    J = jacobian(pairs.normals, pairs.moved - T[:3, 3], axes)
     H = J.T @ (pairs.weights[:, None] * J)
     together = max(1.0, config.correlated_area / spacing**2)
     # Residuals of the noise-free case must not promise certainty: a tenth of a voxel at least.

@@ -22,8 +22,9 @@ from topometric_ros.fusion.align import align
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fuse import fuse
 from topometric_ros.fusion.groups import Groups, group_agents
-from topometric_ros.fusion.poses import apply, inverse
+from topometric_ros.fusion.poses import Transform, apply, inverse
 from topometric_ros.fusion.prepared import Prepared
+from topometric_ros.fusion.priors import Prior, contradicted, parse_priors
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
@@ -61,8 +62,11 @@ def merge(
     ------
     MergeError
         No map, more than 32, or two of one agent.
+    ConfigurationError
+        A parameter makes no sense, a prior for one.
     """
     _check(maps)
+    priors = parse_priors(config.priors)
     watch = Stopwatch()
     prepared = [Prepared(m, config.search.scoring, config.matching) for m in maps]
     alignments = []
@@ -89,7 +93,7 @@ def merge(
         agents=places,
         alignments=groups.alignments,
         global_map=global_map,
-        warnings=_warnings(maps),
+        warnings=(*_warnings(maps), *_contradicted(places, priors)),
         timings=watch.seconds,
     )
 
@@ -199,12 +203,25 @@ def _reason(agent: str, status: AgentStatus, anchor: str, alignments: Sequence[A
     return f"with {other} {nearest.status.value}: {nearest.reason}"
 
 
+def _contradicted(places: Sequence[AgentPlacement], priors: Sequence[Prior]) -> list[str]:
+    """Say which priors the agents' places contradict, those of pairs that share nothing too."""
+    groups: dict[int, dict[str, Transform]] = {}
+    for place in places:
+        groups.setdefault(place.group, {})[place.id] = place.T_group_agent
+    return [
+        f"contradicts a prior: {told}" for g in groups.values() for told in contradicted(priors, g)
+    ]
+
+
 def _warnings(maps: Sequence[TopometricMap]) -> tuple[str, ...]:
     """Say what a reader of the result should know."""
     sizes = {m.voxel_size for m in maps}
     warnings = []
     if len(sizes) > 1:
         named = ", ".join(f"{m.agent} {m.voxel_size:g} m" for m in maps)
-        warnings.append(f"voxel sizes differ ({named}); the global map has the coarsest")
+        warnings.append(
+            f"voxel sizes differ ({named}): of two maps the finer is brought to the coarser's to "
+            f"align them, and the global map has {max(sizes):g} m"
+        )
     warnings += [f"the map of {m.agent} has no rooms" for m in maps if not m.rooms]
     return tuple(warnings)

@@ -7,11 +7,15 @@ from functools import cached_property
 
 from scipy.spatial import cKDTree
 
+from topometric_ros.fusion.resolution import coarsened
 from topometric_ros.fusion.surface import Surface, surface_of
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.matching.descriptors import described
 from topometric_ros.matching.search_fields import MapFields, ScoringConfig, prepare
 from topometric_ros.topometric_map import TopometricMap
+
+_SAME_SIZE = 1.01
+"""Factor up to which two voxel sizes are one."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,19 @@ class Prepared:
     map: TopometricMap
     scoring: ScoringConfig
     matching: MatchingConfig
+
+    def at(self, voxel_size: float) -> Prepared:
+        """Return the map at a coarser voxel size (m), made once; itself where it is no finer."""
+        if voxel_size <= _SAME_SIZE * self.map.voxel_size:
+            return self
+        if voxel_size not in self._coarser:
+            coarse = Prepared(coarsened(self.map, voxel_size), self.scoring, self.matching)
+            self._coarser[voxel_size] = coarse
+        return self._coarser[voxel_size]
+
+    @cached_property
+    def _coarser(self) -> dict[float, Prepared]:
+        return {}
 
     @cached_property
     def described(self) -> TopometricMap:
