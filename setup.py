@@ -32,6 +32,7 @@ setup(
     package_dir={f"{NAME}.schemas": "msg_schemas/topometric_msgs"},
     package_data={
         NAME: ["py.typed"],
+        f"{NAME}.matching.descriptors": ["*.onnx"],
         f"{NAME}.schemas": ["msg/*.msg", "srv/*.srv"],
         f"{NAME}.visualization": ["*.html", "*.js", "*.css"],
     },
@@ -63,12 +64,15 @@ setup(
         # Its wheels end at Python 3.12; without it the benchmark leaves that method out.
         "benchmark": ["kiss-matcher>=1.0; python_version < '3.13'"],
         "gicp": ["small_gicp>=1.0"],
+        "learned": ["onnxruntime>=1.20"],
+        "train": ["torch>=2.6", "onnx>=1.17"],
         "las": ["laspy[lazrs]>=2.5"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": [
             "pytest>=8",
             "hypothesis>=6.100",
             "laspy[lazrs]>=2.5",
+            "onnxruntime>=1.20",
             "markov-clustering==0.0.6.dev0",
         ],
         "dev": ["ruff>=0.11", "mypy>=1.15", "pre-commit>=3.7", "colcon-common-extensions"],

@@ -13,6 +13,7 @@ match is right by the thesis' rule (§5.3). With --sweeps also w, t, c_max and t
 from __future__ import annotations
 
 import argparse
+import importlib.util
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -41,8 +42,10 @@ DESCRIPTORS = {
     "engineered": ("engineered",),
     "spectral": ("spectral",),
     "shape": ("shape",),
+    "learned": ("learned",),
     "engineered + spectral": ("engineered", "spectral"),
     "engineered + spectral + shape": ("engineered", "spectral", "shape"),
+    "shape + learned": ("shape", "learned"),
     "topology alone": ("topological",),
     "all four": ("engineered", "spectral", "shape", "topological"),
 }
@@ -55,7 +58,10 @@ CONTEXTS = {
 QUICK = MatchingConfig(descriptors=DescriptorConfig(names=("topological",)))
 """What a cloud is extracted with: it is described anew with everything that is compared."""
 
-SCORED = DescriptorConfig(names=("engineered", "spectral", "shape", "topological"))
+LEARNED = ("learned",) if importlib.util.find_spec("onnxruntime") else ()
+"""The learned descriptor is left out where its extra is not installed."""
+
+SCORED = DescriptorConfig(names=("engineered", "spectral", "shape", "topological", *LEARNED))
 _NONE = Alignment(("a", "b"), AlignmentStatus.NONE, "")
 
 Pairs = list[tuple[ScoredAgent, ScoredAgent]]
@@ -72,6 +78,7 @@ def main() -> None:
     rows = (
         (f"{name} | {context}", _with(base, names, CONTEXTS[context]))
         for name, names in DESCRIPTORS.items()
+        if LEARNED or "learned" not in names
         for context in CONTEXTS
     )
     _print("descriptor | context", rows, pairs)

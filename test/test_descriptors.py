@@ -202,6 +202,6 @@ def test_merged_context_describes_the_room_with_its_neighbours() -> None:
 
 
 def test_an_unknown_descriptor_is_refused_by_name() -> None:
-    config = MatchingConfig(descriptors=DescriptorConfig(names=("learned",)))
-    with pytest.raises(ConfigurationError, match="learned"):
+    config = MatchingConfig(descriptors=DescriptorConfig(names=("guessed",)))
+    with pytest.raises(ConfigurationError, match="guessed"):
         describe(agent_map("a", (2,), T_BUILDING_A), config)

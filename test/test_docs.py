@@ -9,7 +9,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-NAMED = re.compile(r"`((?:topometric_ros|test|scripts|config|launch|docs|bags|wheels)/[\w./-]+)`")
+FOLDERS = "topometric_ros|test|scripts|config|launch|docs|bags|wheels|training"
+NAMED = re.compile(rf"`((?:{FOLDERS})/[\w./-]+)`")
 LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
 
 

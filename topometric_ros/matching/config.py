@@ -14,7 +14,8 @@ class DescriptorConfig:
 
     names: tuple[str, ...] = parameter(
         ("engineered", "spectral"),
-        "Descriptors to compute and to compare: engineered, spectral, shape, topological.",
+        "Descriptors to compute and to compare: engineered, spectral, shape, topological; learned, "
+        "with the extra `learned`.",
     )
     box: str = parameter(
         "oriented",

@@ -27,13 +27,13 @@ def embed_pair(
     features_a, features_b : (R_a, D) and (R_b, D) float64, no unit
     """
     a, b = described(a, config), described(b, config)
-    names = [d.name for d in descriptors_of(config)]
+    names = [(d.name, d.by_ratio) for d in descriptors_of(config)]
     if config.context.kind == "merged":
-        names += [name + MERGED for name in names]
+        names += [(name + MERGED, by_ratio) for name, by_ratio in names]
     blocks = []
-    for name in names:
+    for name, by_ratio in names:
         values = [entry.values for m in (a, b) if (entry := m.descriptor(name)) is not None]
-        blocks.append(_standardised(np.concatenate(values).astype(np.float64)))
+        blocks.append(_standardised(np.concatenate(values).astype(np.float64), by_ratio))
     both = np.concatenate(blocks, axis=1) / np.sqrt(len(blocks))
     return (
         contextual(both[: len(a.rooms)], room_graph(a), config.context),
@@ -61,12 +61,13 @@ def contextual(features: Features, graph: RoomGraph, config: ContextConfig) -> F
     return features
 
 
-def _standardised(values: Features) -> Features:
+def _standardised(values: Features, by_ratio: bool) -> Features:
     """Return columns with mean 0 and deviation 1 over √D; constant columns become 0.
 
-    The logarithm comes first: a hall differs from an office by a factor, not by an amount.
+    Of sizes the logarithm comes first: a hall differs from an office by a factor, not by an amount.
     """
-    values = np.log1p(np.maximum(values, 0.0))
+    if by_ratio:
+        values = np.log1p(np.maximum(values, 0.0))
     deviation = values.std(axis=0)
     scale = np.where(deviation > 1e-9, deviation, np.inf)
     return (values - values.mean(axis=0)) / scale / np.sqrt(max(1, values.shape[1]))

@@ -15,17 +15,26 @@ from topometric_ros.matching.search_fields import MapFields
 _PILE = 0.2
 """Width of the places that walls pile up on, m."""
 
-_GRIDS = ((45.0, 0.5), (0.5, 0.1), (0.1, 0.02))
+Grids = tuple[tuple[float, float], ...]
+
+_GRIDS: Grids = ((45.0, 0.5), (0.5, 0.1), (0.1, 0.02))
 """Half-range and step of the directions that are tried, one grid round the best of the last, °."""
 
 
 def main_direction(fields: MapFields) -> float:
     """Return the direction of most walls in the level frame, in [0, π/2) rad; 0 without walls."""
     walls = [storey.walls for storey in fields.storeys if len(storey.walls)]
-    if not walls:
-        return 0.0
+    return sharpest_direction(walls, _GRIDS) if walls else 0.0
+
+
+def sharpest_direction(walls: list[NDArray[np.float64]], grids: Grids) -> float:
+    """Return where the projections of cells (n, 2) each, m, are sharpest, in [0, π/2) rad.
+
+    `grids` are the half-range and step, °, of the directions tried round 45° and then round the
+    best so far.
+    """
     best = np.pi / 4.0
-    for half, step in _GRIDS:
+    for half, step in grids:
         n = round(half / step)
         tried = best + np.radians(step) * np.arange(-n, n + 1)
         best = tried[int(np.argmax([_sharpness(walls, direction) for direction in tried]))]

@@ -8,6 +8,7 @@ from topometric_ros.errors import ConfigurationError
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.matching.descriptors.base import Descriptor
 from topometric_ros.matching.descriptors.engineered import EngineeredDescriptor
+from topometric_ros.matching.descriptors.learned import LearnedDescriptor
 from topometric_ros.matching.descriptors.shape import ShapeDescriptor
 from topometric_ros.matching.descriptors.spectral import SpectralDescriptor
 from topometric_ros.matching.descriptors.topological import TopologicalDescriptor
@@ -20,6 +21,7 @@ __all__ = [
     "MERGED",
     "Descriptor",
     "EngineeredDescriptor",
+    "LearnedDescriptor",
     "ShapeDescriptor",
     "SpectralDescriptor",
     "TopologicalDescriptor",
@@ -44,6 +46,7 @@ def descriptors_of(config: MatchingConfig) -> tuple[Descriptor, ...]:
             c.eigenvalues, c.matrix, c.neighbourhood, c.spectral_cell, c.spectral_nodes
         ),
         "shape": ShapeDescriptor(),
+        "learned": LearnedDescriptor(),
         "topological": TopologicalDescriptor(),
     }
     unknown = [name for name in c.names if name not in known]

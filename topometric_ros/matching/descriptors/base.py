@@ -30,6 +30,10 @@ class Descriptor(Protocol):
     def dimension(self) -> int:
         """Length D of a vector."""
 
+    @property
+    def by_ratio(self) -> bool:
+        """Whether values are sizes, zero or more, of which ratios count: compared by logarithm."""
+
     def __call__(
         self, topometric_map: TopometricMap, members: Sequence[Sequence[int]] | None = None
     ) -> NDArray[np.float32]:

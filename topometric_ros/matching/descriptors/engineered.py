@@ -51,6 +51,11 @@ class EngineeredDescriptor:
         """Number of features."""
         return len(FEATURES)
 
+    @property
+    def by_ratio(self) -> bool:
+        """Whether values are compared by their logarithm."""
+        return True
+
     def __call__(
         self, topometric_map: TopometricMap, members: Sequence[Sequence[int]] | None = None
     ) -> NDArray[np.float32]:

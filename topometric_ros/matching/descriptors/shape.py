@@ -40,6 +40,11 @@ class ShapeDescriptor:
         """Number of bins of both histograms; the last of each is open."""
         return len(_DISTANCES) + len(_HEIGHTS)
 
+    @property
+    def by_ratio(self) -> bool:
+        """Whether values are compared by their logarithm."""
+        return True
+
     def __call__(
         self, topometric_map: TopometricMap, members: Sequence[Sequence[int]] | None = None
     ) -> NDArray[np.float32]:

@@ -52,6 +52,11 @@ class SpectralDescriptor:
         """Number of eigenvalues."""
         return self.eigenvalues
 
+    @property
+    def by_ratio(self) -> bool:
+        """Whether values are compared by their logarithm."""
+        return True
+
     def __call__(
         self, topometric_map: TopometricMap, members: Sequence[Sequence[int]] | None = None
     ) -> NDArray[np.float32]:

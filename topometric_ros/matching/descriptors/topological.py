@@ -36,6 +36,11 @@ class TopologicalDescriptor:
         """Length of the vector."""
         return 2 + _NEIGHBOURS + _GAPS
 
+    @property
+    def by_ratio(self) -> bool:
+        """Whether values are compared by their logarithm."""
+        return True
+
     def __call__(
         self, topometric_map: TopometricMap, members: Sequence[Sequence[int]] | None = None
     ) -> NDArray[np.float32]:
