@@ -100,6 +100,28 @@ def test_a_new_session_stops_the_transform_and_keeps_the_old_map_until_it_is_ali
         merger.add_map(dataclasses.replace(old, sequence=9))
 
 
+def test_a_map_that_moves_as_a_whole_is_noticed_aligned_anew_and_told() -> None:
+    merger = MergerSession(MergeConfig(check="none"), ["a", "b"])
+    merger.add_map(flat_map("a"))
+    b = flat_map("b", 1)
+    merger.add_map(b)
+    merger.merge()
+    before = merger.transforms()["b"]
+    moved_b = flat_map("b", 2)
+    merger.add_map(dataclasses.replace(moved_b, session=b.session, sequence=b.sequence + 1))
+    result = merger.merge()
+    assert any("b: its whole map has moved" in w for w in result.warnings)
+    # The flat itself has not moved: both maps lie on a's.
+    now = merger.transforms()["b"]
+    assert np.abs(now - before).max() > 0.5
+    for m, T in ((b, before), (moved_b, now)):
+        middle = T[:3, :3] @ m.surface().mean(axis=0) + T[:3, 3]
+        np.testing.assert_allclose(middle, flat_map("a").surface().mean(axis=0), atol=0.1)
+    grown = dataclasses.replace(moved_b, session=b.session, sequence=b.sequence + 2)
+    merger.add_map(grown)
+    assert not any("whole map" in w for w in merger.merge().warnings)
+
+
 def restarted(agent: str) -> TopometricMap:
     """Return a map of another place, of a session that follows the flat's."""
     return dataclasses.replace(random_map(9, agent), session="new", sequence=1)

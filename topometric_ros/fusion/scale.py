@@ -55,8 +55,20 @@ def unlike_scale(a: TopometricMap, b: TopometricMap) -> str | None:
     """Return in words why two maps seem to be of unlike scale, or None.
 
     Storeys must differ by a factor; where both maps have doors these must say the same, for a hall
-    beside an office differs in storeys and not in doors.
+    beside an office differs in storeys and not in doors. What an extraction was warned of counts
+    too: it saw more of the cloud than the map keeps.
     """
+    return _by_heights(a, b) or _warned(a, b)
+
+
+def _warned(a: TopometricMap, b: TopometricMap) -> str | None:
+    """Return what was told of the scale when one of the maps was made, and not of the other."""
+    told = [next((w for w in m.warnings if "use --scale" in w), None) for m in (a, b)]
+    odd = [(m, w) for m, w in zip((a, b), told, strict=True) if w is not None]
+    return f"{odd[0][0].agent}: {odd[0][1]}" if len(odd) == 1 else None
+
+
+def _by_heights(a: TopometricMap, b: TopometricMap) -> str | None:
     first, second = heights(a), heights(b)
     if first.storey is None or second.storey is None:
         return None

@@ -19,6 +19,7 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import MOST_AGENTS, merge
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_state import Known, MergerState, Version, version_of
+from topometric_ros.runtime.moved_maps import MOVED, still_there
 from topometric_ros.runtime.offers import Offers
 from topometric_ros.runtime.pair_aligner import PairAligner
 from topometric_ros.runtime.stability import steadier
@@ -62,6 +63,7 @@ class MergerSession:
         self._aligner = PairAligner()
         self._offers = Offers()
         self._refused: dict[Pair, tuple[Version, Version]] = {}
+        self._moved: dict[str, str] = {}
 
     @property
     def stale(self) -> tuple[str, ...]:
@@ -93,6 +95,7 @@ class MergerSession:
             if m.sequence <= newest.sequence:
                 return False
             into = self._newer_session if m.agent in self._newer_session else self.maps
+            self._notice_move(into[m.agent], m)
             into[m.agent] = m
             return True
         if newest is None:
@@ -133,7 +136,9 @@ class MergerSession:
         timings = {**watch.seconds}
         for stage, seconds in result.timings.items():
             timings[stage] = timings.get(stage, 0.0) + seconds
-        warnings = (*result.warnings, *map(self._stale_warning, self.stale))
+        told = (*self._moved.values(), *map(self._stale_warning, self.stale))
+        self._moved = {}
+        warnings = (*result.warnings, *told)
         self.result = dataclasses.replace(result, timings=timings, warnings=warnings)
         return self.result
 
@@ -296,7 +301,10 @@ class MergerSession:
             pair = (a.agent, b.agent)
             entry = self._known.get(pair)
             alignment, held = new.alignment, new.support
-            if entry is not None and self._in_use(pair, entry) and self._same_sessions(a, b, entry):
+            in_use = entry is not None and self._in_use(pair, entry)
+            # Where a map has moved as a whole, what held before says nothing.
+            still = not self._moved.keys() & set(pair)
+            if entry is not None and in_use and still and self._same_sessions(a, b, entry):
                 with watch.stage("stability"):
                     alignment, held = steadier(
                         entry.alignment, entry.support, alignment, new.a, new.b, self.config
@@ -320,6 +328,19 @@ class MergerSession:
 
     def _fixed_for(self, pair: Pair) -> Alignment | None:
         return self._fixed.get(pair) or self._fixed.get((pair[1], pair[0]))
+
+    def _notice_move(self, old: TopometricMap, new: TopometricMap) -> None:
+        """Remember that an agent's map has moved as a whole, as when its SLAM closes a loop."""
+        share = still_there(old, new)
+        if share >= MOVED:
+            return
+        told = f"{new.agent}: its whole map has moved, {share:.0%} is where it was: aligned anew"
+        by_hand = sorted({a for pair in self._fixed for a in pair if new.agent in pair})
+        if by_hand:
+            others = ", ".join(a for a in by_hand if a != new.agent)
+            told += f"; what was set by hand with {others} is kept and may no longer hold"
+        self._moved[new.agent] = told
+        logger.warning("%s", told)
 
     def _stale_warning(self, agent: str) -> str:
         old, new = self.maps[agent].session, self._newer_session[agent].session
