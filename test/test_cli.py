@@ -98,7 +98,8 @@ def test_merge_takes_maps_and_clouds_alike(
     assert printed == json.loads((tmp_path / "merge.json").read_text())
     assert [agent["id"] for agent in printed["agents"]] == ["a", "second"]
     assert printed["agents"][1]["source"] == str(clouds / "b.npy")
-    assert list(printed) == ["schema", "global_frame", "warnings", "agents", "alignments"]
+    keys = ["schema", "global_frame", "warnings", "agents", "alignments", "rooms"]
+    assert list(printed) == keys
     assert list(printed["alignments"][0]) == [
         *("agents", "status", "reason", "T_a_b", "alternatives"),
         *("confidence", "overlap", "rmse", "covariance", "matches"),

@@ -289,8 +289,11 @@ def test_a_room_cut_in_two_by_one_agent_is_one_room() -> None:
     room = np.where(where & half, 7, b.room).astype(np.int32)
     extra = dataclasses.replace(b.room_by_id(0), id=7)
     cut = dataclasses.replace(b, room=room, rooms=(*b.rooms, extra), descriptors=())
-    fused = fuse([a, cut], [np.eye(4), T_A_B], FuseConfig()).map
-    assert [r.id for r in fused.rooms] == [0, 1, 2, 4, 10003]
+    fused = fuse([a, cut], [np.eye(4), T_A_B], FuseConfig())
+    assert [r.id for r in fused.map.rooms] == [0, 1, 2, 4, 10003]
+    assert set(fused.rooms_of) == {0, 1, 2, 4, 10003}
+    assert fused.rooms_of[0] == ((0, 0), (1, 0), (1, 7))
+    assert fused.rooms_of[10003] == ((1, 3),)
 
 
 def test_maps_of_different_voxel_size_meet_at_the_coarser() -> None:

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from test.helpers_browser import CHROMIUM, BrowserPage
 from test.test_stages import NOTHING, two_rooms, write_merge
-from test.test_view import CHROMIUM, opened_in_browser, page_data
+from test.test_view import opened_in_browser, page_data
 from topometric_ros.cli.main import main
 from topometric_ros.io.map_files import save_map
 from topometric_ros.io.trajectories import AgentTrajectory
@@ -114,3 +115,22 @@ def test_a_browser_draws_the_stages_that_are_asked_for(tmp_path: Path):
     # Counted by the page from what it unpacked.
     assert f'data-seen="{len(stages.drawn.seen.rows(last))}"' in dom
     assert f"seen: {stages.drawn.seen.sizes()[last]:,} voxels" in dom
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the PATH to open the page with")
+def test_both_maps_of_a_pair_are_in_the_first_view(tmp_path: Path):
+    m = two_rooms()
+    save_map(tmp_path / "map.tmap", m)
+    write_merge(tmp_path, "map.tmap", (m.rooms[0].id, m.rooms[1].id))
+    stages = stages_of(m, str(tmp_path))
+    shown, _ = page_stages(stages, ("matches",))
+    page = tmp_path / "page.html"
+    page.write_text(view_html(stages.view, shown), encoding="utf-8")
+    (pair,) = shown["matches"]["pairs"]
+    points = [decoded(side["xyz"], "<f4").reshape(-1, 3) for side in pair["sides"]]
+    corners = [end(side, axis=0).tolist() for side in points for end in (np.min, np.max)]
+    with BrowserPage(page, "stage=matches") as browser:
+        canvas = "document.getElementById('plot').getBoundingClientRect()"
+        size = browser.value(f"[{canvas}.width, {canvas}.height]")
+        pixels = [browser.pixel(place) for place in corners]
+    assert ((np.array(pixels) > 0) & (np.array(pixels) < size)).all()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from test.helpers import box_room
+from test.helpers_browser import CHROMIUM, FLAGS, BrowserPage
 from topometric_ros.cli.main import main
 from topometric_ros.io.map_files import save_map
 from topometric_ros.topometric_map import (
@@ -34,10 +34,6 @@ from topometric_ros.visualization.view_page import view_html
 from topometric_ros.voxels.grid import surface_offsets, voxelise
 
 HOSTILE = "</script><b>bob"
-CHROMIUM = next(
-    (path for path in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if path),
-    None,
-)
 
 
 def two_rooms() -> TopometricMap:
@@ -82,11 +78,9 @@ def page_data(html: str) -> dict:
 
 def opened_in_browser(page: Path, address: str) -> str:
     """Return what a browser makes of a page; `address` is what follows the #."""
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-    flags += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    flags += [f"--user-data-dir={page.with_name('profile')}", "--virtual-time-budget=10000"]
+    flags = [f"--user-data-dir={page.with_name('profile')}", "--virtual-time-budget=10000"]
     opened = subprocess.run(
-        [str(CHROMIUM), *flags, "--dump-dom", f"{page.as_uri()}#{address}"],
+        [str(CHROMIUM), *FLAGS, *flags, "--dump-dom", f"{page.as_uri()}#{address}"],
         capture_output=True,
         text=True,
         timeout=240,
@@ -119,6 +113,27 @@ def test_who_saw_a_room_is_told_and_cannot_break_the_page():
     assert [entry["name"] for entry in data["classes"]] == ["anna", f"anna + {HOSTILE}"]
     assert dict(data["rooms"][1]["attributes"])["seen by"] == f"anna (100 %), {HOSTILE} (100 %)"
     assert HOSTILE not in html
+
+
+def write_merged(folder: Path) -> None:
+    """Write a merge of two agents: the upper room is anna's 7 and bob's 2, matched."""
+    view = two_agents()
+    save_map(folder / "global.tmap", view.map, view.observed_by, ("anna", "bob"))
+    alignment = {"agents": ["anna", "bob"], "status": "accepted", "reason": "they fit"}
+    alignment |= {"T_a_b": np.eye(4).tolist(), "matches": [[7, 2, 0.1]]}
+    rooms = [{"id": 4, "of": [["anna", 4]]}, {"id": 7, "of": [["anna", 7], ["bob", 2]]}]
+    agents = [{"id": name, "source": "", "T_global_agent": None} for name in ("anna", "bob")]
+    summary = {"agents": agents, "alignments": [alignment], "rooms": rooms}
+    (folder / "merge.json").write_text(json.dumps(summary), encoding="utf-8")
+
+
+def test_a_room_of_a_merged_folder_has_its_match(tmp_path: Path):
+    write_merged(tmp_path)
+    assert main(["view", str(tmp_path), "-o", str(tmp_path / "page.html")]) == 0
+    lower, upper = page_data((tmp_path / "page.html").read_text(encoding="utf-8"))["rooms"]
+    assert ["agents' rooms", "anna 4"] in lower["attributes"]
+    assert "match" not in dict(lower["attributes"])
+    assert ["match", "anna room 7 = bob room 2"] in upper["attributes"]
 
 
 def test_points_are_thinned_and_keep_their_storey():
@@ -160,17 +175,44 @@ def test_the_command_writes_the_page_and_the_pictures(
     assert f"written: {page}" in capsys.readouterr().out
 
 
+def test_folders_without_a_map_are_named_with_what_to_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "sim" / "office_0").mkdir(parents=True)
+    (tmp_path / "sim" / "office_0" / "truth.json").write_text("{}")
+    (tmp_path / "eval" / "cases").mkdir(parents=True)
+    (tmp_path / "eval" / "rows.csv").write_text("")
+    for folder, said in (
+        ("sim", "simulated cases; view an agent's cloud, as "),
+        ("sim/office_0", "a simulated case; view an agent's cloud, as "),
+        ("eval", "an evaluation; open "),
+    ):
+        assert main(["view", str(tmp_path / folder), "-o", str(tmp_path / "page.html")]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+
+
 def test_a_folder_with_nothing_to_show_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["view", str(tmp_path), "-o", str(tmp_path / "page.html")]) == 2
     assert str(tmp_path) in capsys.readouterr().err
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the PATH to open the page with")
-def test_a_browser_draws_the_page_and_shows_the_room_that_is_asked_for(tmp_path: Path):
-    page = tmp_path / "page.html"
-    page.write_text(view_html(two_agents()), encoding="utf-8")
-    dom = opened_in_browser(page, "room=7&storey=2&colour=agent")
-    assert 'data-state="drawn"' in dom
-    assert '<div id="room"><b>room 7</b>' in dom
-    assert '<span id="storeyname">1, floor at 3.00' in dom
-    assert dom.count('aria-pressed="true"') == 1
+def test_a_browser_shows_the_room_that_is_asked_for_and_then_the_one_clicked_on(tmp_path: Path):
+    write_merged(tmp_path)
+    path = tmp_path / "page.html"
+    assert main(["view", str(tmp_path), "-o", str(path)]) == 0
+    node = page_data(path.read_text(encoding="utf-8"))["rooms"][1]["node"]
+    with BrowserPage(path, "room=4&storey=2&colour=agent") as page:
+        assert page.value("document.querySelector('#room b').textContent") == "room 4"
+        storey = page.value("document.getElementById('storeyname').textContent")
+        assert storey.startswith("1, floor at 3.00")
+        x, y = page.pixel(node)
+        page.press(x, y)
+        page.wait_for("document.querySelector('#room b').textContent === 'room 7'")
+        page.release(x, y)
+        text = page.value("document.getElementById('room').textContent")
+        pressed = page.value("document.querySelectorAll('[aria-pressed=true]').length")
+    assert "anna room 7 = bob room 2" in text
+    assert pressed == 1

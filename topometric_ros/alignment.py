@@ -6,6 +6,7 @@ They hold between the agents' *input* frames, the frames that their clouds and T
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -99,10 +100,13 @@ class GlobalMap:
     """The fused map of the anchor's group, in the global frame.
 
     `agents` (N,) uint32 says who saw each voxel of `map`: bit i for the i-th agent of the result.
+    `rooms_of` has, for the id of every room, which rooms of which agents became it: pairs of an
+    agent's index in the result and a room's id in its map.
     """
 
     map: TopometricMap
     agents: NDArray[np.uint32]
+    rooms_of: Mapping[int, tuple[tuple[int, int], ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

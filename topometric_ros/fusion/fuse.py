@@ -18,9 +18,15 @@ from topometric_ros.alignment import GlobalMap
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.assemble import assemble_rooms
 from topometric_ros.extraction.mapped_rooms import MappedRooms
-from topometric_ros.fusion.fuse_rooms import Fragment, fused_passages, room_ids, storeys_of_rooms
+from topometric_ros.fusion.fuse_rooms import (
+    Fragment,
+    fused_passages,
+    room_ids,
+    rooms_by_id,
+    storeys_of_rooms,
+)
 from topometric_ros.fusion.fuse_storeys import fused_storeys
-from topometric_ros.fusion.poses import Transform, apply, level_frames
+from topometric_ros.fusion.poses import Transform, apply, inverse, level_frames
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 from topometric_ros.voxels.grid import (
     in_morton_order,
@@ -28,6 +34,8 @@ from topometric_ros.voxels.grid import (
     surface_offsets,
     voxelise,
 )
+
+_QUARTERS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
 
 GLOBAL = "global"
 """The agent that a global map names."""
@@ -127,7 +135,7 @@ def fuse(
         storeys=storeys,
         T_level_input=anchor.T_level_input,
     )
-    return GlobalMap(fused, agents)
+    return GlobalMap(fused, agents, rooms_by_id(new_id, known))
 
 
 def _version(maps: Sequence[TopometricMap]) -> tuple[str, int]:
@@ -159,13 +167,22 @@ def _navigable(
     size: float,
     origin: NDArray[np.float64],
 ) -> NDArray[np.int32]:
-    """Return the cells of the global lattice that any agent could stand on: (M, 3) int32."""
-    coords = [
-        lattice_coordinates(
-            apply(T, np.asarray(m.origin) + m.navigable * m.voxel_size), size, origin
-        )
-        for _, m, T in placed
-    ]
+    """Return the cells of the global lattice that any agent could stand on: (M, 3) int32.
+
+    Those that the middle of an agent's cell lies in, and those whose own middle lies in one: a
+    turned lattice would leave holes.
+    """
+    coords = []
+    for _, m, T in placed:
+        middles = np.asarray(m.origin) + m.navigable * m.voxel_size
+        coords.append(lattice_coordinates(apply(T, middles), size, origin))
+        # The four quarters of a cell reach every cell whose middle it can hold.
+        quarters = np.repeat(middles, 4, axis=0)
+        quarters[:, :2] += np.tile(_QUARTERS * m.voxel_size, (len(middles), 1))
+        reached = lattice_coordinates(apply(T, quarters), size, origin)
+        away = apply(inverse(T), origin + reached * size) - np.repeat(middles, 4, axis=0)
+        held = (np.abs(away[:, :2]) <= m.voxel_size / 2).all(axis=1)
+        coords.append(reached[held])
     return in_morton_order(np.concatenate(coords))
 
 

@@ -73,6 +73,14 @@ def room_ids(
     return ids
 
 
+def rooms_by_id(ids: dict[RoomKey, int], known: set[int]) -> dict[int, tuple[RoomKey, ...]]:
+    """Return which agents' rooms became each room that has voxels: `room_ids` the other way."""
+    return {
+        number: tuple(sorted(key for key, new in ids.items() if new == number))
+        for number in sorted(known)
+    }
+
+
 def _cells(
     fragment: Fragment, codes: NDArray[np.uint64]
 ) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:

@@ -43,6 +43,10 @@ def merge_summary(result: MergeResult) -> dict[str, Any]:
             for agent in result.agents
         ],
         "alignments": [_alignment(alignment) for alignment in result.alignments],
+        "rooms": [
+            {"id": int(room), "of": [[result.agents[k].id, int(own)] for k, own in keys]}
+            for room, keys in result.global_map.rooms_of.items()
+        ],
     }
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,8 @@ class View:
     observed_by: NDArray[np.uint32]
     agents: tuple[str, ...]
     matches: tuple[Match, ...] = ()
+    rooms_of: Mapping[int, tuple[tuple[str, int], ...]] = field(default_factory=dict)
+    """The agents' own rooms, as agent and id, that became each room of a global map."""
     trajectories: tuple[AgentTrajectory, ...] = ()
     """Where agents were, in the map's level frame; of those that are in the map and known."""
 

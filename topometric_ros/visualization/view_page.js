@@ -155,10 +155,10 @@
     return;
   }
   const axis = title => ({title: {text: title}, backgroundcolor: "#fff", gridcolor: "#e0e4e9", showspikes: false});
+  const traces = parts.map(part => ({...(part.trace ? part.trace() : makers[part.kind](part)), visible: shown(part)}));
   const layout = {margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "keep",
     scene: {aspectmode: "data", xaxis: axis("x (m)"), yaxis: axis("y (m)"), zaxis: axis("z (m)"),
-      camera: {eye: {x: 0.7, y: -1.3, z: 1.6}}}};
-  const traces = parts.map(part => ({...(part.trace ? part.trace() : makers[part.kind](part)), visible: shown(part)}));
+      camera: cameraFor(traces.filter(trace => trace.visible), at("plot"))}};
   const which = kind => parts.flatMap((part, k) => part.kind === kind ? [k] : []);
   const recolour = () => {
     const points = which("points");
@@ -192,10 +192,14 @@
       const point = event.points[0];
       if (point.data.meta === "eyes") look(point.customdata); else select(point.customdata);
     });
+    const refit = () =>
+      Plotly.relayout("plot", {"scene.camera": cameraFor(traces.filter((_, k) => shown(parts[k])), at("plot"))});
     at("stage").onchange = event => {
+      const pairs = [state.stage, event.target.value].includes("matches");
       state.stage = event.target.value; nameStage(); remember(); redraw(); recolour(); drawMatrix();
+      if (pairs) refit();
     };
-    at("pair").onchange = event => { state.pair = Number(event.target.value); remember(); redraw(); };
+    at("pair").onchange = event => { state.pair = Number(event.target.value); remember(); redraw(); refit(); };
     at("storey").oninput = event => {
       state.storey = Number(event.target.value); nameStorey(); remember(); redraw();
     };

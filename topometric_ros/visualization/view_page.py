@@ -131,12 +131,15 @@ def _attributes(view: View, room: Room) -> list[tuple[str, str]]:
         shares = room_shares(view, room.id)
         seen = ", ".join(f"{agent} ({100 * share:.0f} %)" for agent, share in shares.items())
         attributes.append(("seen by", seen or "nobody"))
+    own = view.rooms_of.get(room.id, ())
+    if own:
+        attributes.append(("agents' rooms", ", ".join(f"{agent} {i}" for agent, i in own)))
     for match in view.matches:
+        held = "" if match.status == "accepted" else f" ({match.status})"
         attributes += [
-            (f"as {match.agents[k]} room", f"{pair[k]} = {match.agents[1 - k]} room {pair[1 - k]}")
-            for pair in match.rooms
-            for k in (0, 1)
-            if view.agents == (match.agents[k],) and pair[k] == room.id
+            ("match", f"{match.agents[0]} room {a} = {match.agents[1]} room {b}{held}")
+            for a, b in match.rooms
+            if {(match.agents[0], a), (match.agents[1], b)} & set(own)
         ]
     return attributes
 

@@ -148,3 +148,26 @@ const stageParts = (data, bytes, wanted) => {
   });
   return parts;
 };
+
+// A camera that holds all of some traces, in plotly's units: the box round them has the volume 1, its middle is 0.
+const cameraFor = (traces, plot) => {
+  const sides = ["x", "y", "z"].map(axis => {
+    let low = Infinity, high = -Infinity;
+    for (const trace of traces) for (const v of trace[axis]) if (v !== null) { low = Math.min(low, v); high = Math.max(high, v); }
+    return Math.max(high - low, 0.1);
+  });
+  const direction = [0.7, -1.3, 1.6], dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const scaled = (a, by) => a.map(v => v * by), unit = a => scaled(a, 1 / Math.sqrt(dot(a, a)));
+  const back = unit(direction), right = unit([-back[1], back[0], 0]);
+  const up = [back[1] * right[2] - back[2] * right[1], back[2] * right[0] - back[0] * right[2], back[0] * right[1] - back[1] * right[0]];
+  const mean = Math.cbrt(sides[0] * sides[1] * sides[2]), steep = Math.tan(Math.PI / 8);
+  const wide = steep * plot.clientWidth / Math.max(plot.clientHeight, 1);
+  let distance = 0.5;
+  for (let k = 0; k < 8 && Number.isFinite(mean); k++) {
+    const corner = sides.map((side, axis) => (k >> axis & 1 ? 0.5 : -0.5) * side / mean);
+    const least = Math.max(Math.abs(dot(corner, right)) / wide, Math.abs(dot(corner, up)) / steep) + dot(corner, back);
+    distance = Math.max(distance, least);
+  }
+  const [x, y, z] = scaled(back, distance);
+  return {eye: {x, y, z}};
+};
