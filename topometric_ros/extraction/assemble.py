@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.extraction.attributes import RoomAttributes, room_attributes
@@ -48,10 +49,13 @@ def assemble_rooms(
     order = np.argsort(room, kind="stable")
     ids, starts = np.unique(room[order], return_index=True)
     described = []
+    columns = _columns_of(rooms.columns.starts, rooms.columns.order, room).tolist()
     for room_id, rows in zip(ids.tolist(), np.split(order, starts[1:]), strict=True):
         if room_id != NO_ROOM:
             storey = rooms.storey_of_room[room_id]
-            plain = _room(rooms.grid, rows, room_id, storey, room_id not in reached)
+            plain = _room(
+                rooms.grid, rows, room_id, storey, room_id not in reached, columns[room_id]
+            )
             found = measured[room_id]
             view = _view(room_id, rows, found, passages, rooms.grid)
             kind, sure = told(classifier, view)
@@ -90,14 +94,20 @@ def _view(
 
 
 def _room(
-    grid: VoxelGrid, rows: NDArray[np.int64], room_id: int, storey: int, isolated: bool
+    grid: VoxelGrid,
+    rows: NDArray[np.int64],
+    room_id: int,
+    storey: int,
+    isolated: bool,
+    columns: int,
 ) -> Room:
-    """Return the room of the voxels `rows` (n,), n > 0, of a grid; `bounds` hold whole cells."""
+    """Return the room of the voxels `rows` (n,), n > 0, of a grid; `bounds` hold whole cells.
+
+    `columns` is how many columns of voxels it has.
+    """
     coords = grid.coords[rows]
     centres = grid.origin + coords * grid.voxel_size
     half = grid.voxel_size / 2
-    x, y = coords[:, :2].astype(np.int64).T
-    columns = len(np.unique((x << 32) + y))
     return Room(
         id=room_id,
         storey=storey,
@@ -114,6 +124,20 @@ def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
     return x, y, z
 
 
+@njit(cache=True, nogil=True)
+def _columns_of(starts, order, room):  # type: ignore[no-untyped-def]
+    """How many columns hold voxels of each room: (highest id + 1,)."""
+    count = np.zeros(int(room.max()) + 1, np.int64)
+    last = np.full(len(count), -1, np.int64)
+    for column in range(len(starts) - 1):
+        for i in range(starts[column], starts[column + 1]):
+            own = room[order[i]]
+            if own >= 0 and last[own] != column:
+                last[own] = column
+                count[own] += 1
+    return count
+
+
 def majority(group: NDArray[np.int64], labels: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return the commonest label of each group, ties by the lowest: (G,) int32.
 
@@ -122,8 +146,30 @@ def majority(group: NDArray[np.int64], labels: NDArray[np.int32]) -> NDArray[np.
     group : (P,) the group of each label; every group from 0 to G - 1 occurs
     labels : (P,) int32, -1 or more
     """
-    width = int(labels.max()) + 2
-    codes, counts = np.unique(group * width + labels + 1, return_counts=True)
-    order = np.lexsort((codes, -counts, codes // width))
-    first = np.unique((codes // width)[order], return_index=True)[1]
-    return (codes[order[first]] % width - 1).astype(np.int32)
+    found: NDArray[np.int32] = _commonest(group, labels)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _commonest(group, labels):  # type: ignore[no-untyped-def]
+    count = int(group.max()) + 1
+    starts = np.zeros(count + 1, np.int64)
+    for g in group:
+        starts[g + 1] += 1
+    starts = np.cumsum(starts)
+    place = starts[:-1].copy()
+    sorted_labels = np.empty(len(labels), np.int32)
+    for i in range(len(labels)):
+        sorted_labels[place[group[i]]] = labels[i]
+        place[group[i]] += 1
+    result = np.empty(count, np.int32)
+    for g in range(count):
+        own = sorted_labels[starts[g] : starts[g + 1]]
+        own.sort()
+        most, run = 0, 0
+        for i in range(len(own)):
+            run = run + 1 if i and own[i] == own[i - 1] else 1
+            if run > most:
+                most = run
+                result[g] = own[i]
+    return result

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from topometric_ros.voxels.grid import bounds
+
 NOTHING = 1 << 20
 """Cells to the next occupied voxel where there is none."""
 
@@ -46,14 +48,15 @@ class Columns:
 
 def sort_columns(coords: NDArray[np.int32]) -> Columns:
     """Sort voxels (N, 3) int32, distinct, N > 0, into columns along z."""
-    x, y, z = (coords - coords.min(0)).astype(np.int64).T
+    low, high = bounds(coords)
+    x, y, z = (coords - low).astype(np.int64).T
     order = np.argsort((x << 42) | (y << 21) | z)
     ordered = coords[order]
     change = np.any(np.diff(ordered[:, :2], axis=0) != 0, axis=1)
     first = np.concatenate([[0], np.flatnonzero(change) + 1])
     starts = np.concatenate([first, [len(coords)]]).astype(np.int64)
-    corner = coords[:, :2].min(0)
-    extent = coords[:, :2].max(0) - corner + 1
+    corner = low[:2]
+    extent = high[:2] - corner + 1
     above, below, horizontal = _neighbours(ordered[:, 2], starts)
     back = np.empty(len(coords), np.int64)
     back[order] = np.arange(len(coords))

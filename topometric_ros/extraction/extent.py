@@ -96,10 +96,11 @@ def without_islands(
     -------
     As :func:`without_strays`.
     """
-    tile = np.floor((points - points.min(axis=0)) / _ISLAND_TILE).astype(np.int64)
-    shape = tile.max(axis=0) + 1
+    low, high = bounds(points)
+    shape = np.floor((high - low) / _ISLAND_TILE).astype(np.int64) + 1
     if shape.max() == 1:
         return points, ()
+    tile = np.floor((points - low) / _ISLAND_TILE).astype(np.int64)
     flat = (tile[:, 0] * shape[1] + tile[:, 1]) * shape[2] + tile[:, 2]
     counts = np.bincount(flat, minlength=int(shape.prod())).reshape(tuple(shape))
     labels, number = ndimage.label(counts, np.ones((3, 3, 3), bool))

@@ -41,6 +41,7 @@ def bridged(
     index: VoxelIndex,
     size: float,
     config: NavigationConfig,
+    lowest: bool,
 ) -> NDArray[np.int32]:
     """Return the cells that close gaps between cells of a floor, and put them in there.
 
@@ -51,6 +52,7 @@ def bridged(
     index : of the occupied voxels
     size : edge of a voxel, m
     config : `gap`, `roofed_gap` and the stick
+    lowest : whether there is no storey below, which might be seen through an opening
 
     Returns
     -------
@@ -58,7 +60,10 @@ def bridged(
     """
     stick = stick_kernel(size, config.thin_height, config.wide_height, config.diameter)
     above = stick.offsets()[stick.weights > 0]
-    limits = np.array([config.gap, config.roofed_gap, _HEADROOM, SLAB, _TALLEST, _PANE]) / size
+    lengths = (config.gap, config.roofed_gap, _HEADROOM, SLAB, _TALLEST, _PANE, _TALLEST)
+    limits = np.array(lengths) / size
+    if lowest:
+        limits[4] = 0.0
     found = []
     known = np.full((2, *floor.shape, 3), NO_FLOOR, np.int32)
     for _ in range(_ROUNDS if max(config.gap, config.roofed_gap) > 0.0 else 0):
@@ -166,15 +171,15 @@ def _floor_at(table, x, y, z, stick, limits, pane):  # type: ignore[no-untyped-d
             level += 1
             if pane == 0 or level > _SPECKS_OF_LAYER or specks > _SPECKS * len(stick):
                 return NO_FLOOR, 0
-    above, most = 1, limits[4]
-    while above <= most and row_at(table, x, y, z + above) < 0:
+    above = 1
+    while above <= limits[6] and row_at(table, x, y, z + above) < 0:
         above += 1
     if above <= limits[2] and specks == 0:
         return NO_FLOOR, 0
     if not seen:
         below = 2
-        while below <= most and row_at(table, x, y, z - below) < 0:
+        while below <= limits[4] and row_at(table, x, y, z - below) < 0:
             below += 1
-        if limits[3] < below <= most:
+        if limits[3] < below <= limits[4]:
             return NO_FLOOR, 0
-    return z, int(above <= most)
+    return z, int(above <= limits[6])

@@ -85,9 +85,10 @@ def close_gaps(
         if way is not None:
             here = way[(way[:, 2] >= storey.floor) & (way[:, 2] < storey.ceiling)]
             added.append(_walked(floor, here, corner, grid))
-        added.append(bridged(floor, corner, index, grid.voxel_size, config))
+        added.append(bridged(floor, corner, index, grid.voxel_size, config, number == 0))
     every = in_morton_order(np.concatenate(added))
-    every = every[_not_under_floor(every, VoxelIndex(every), index, grid.voxel_size)]
+    if len(storeys) > 1:
+        every = every[_not_under_floor(every, VoxelIndex(every), index, grid.voxel_size)]
     return _joined(
         every, VoxelIndex(navigable), math.floor(config.dilation / grid.voxel_size + 0.5)
     )

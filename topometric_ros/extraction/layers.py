@@ -18,6 +18,7 @@ from scipy import ndimage
 from topometric_ros.configuration import parameter
 from topometric_ros.errors import TopometricError
 from topometric_ros.topometric_map import StoreyLayers
+from topometric_ros.voxels.grid import bounds
 
 CELL = 0.1
 """Edge of a raster cell in metres: the thresholds below and in `matching` are made for it."""
@@ -244,8 +245,9 @@ def _layers_of_storey(
     if len(columns) == 0:
         empty = np.zeros((1, 1), bool)
         return StoreyLayers(CELL, (0.0, 0.0), empty, empty, empty, empty)
-    low = columns.min(axis=0) - _PADDING
-    shape = columns.max(axis=0) - low + 1 + _PADDING
+    low, high = bounds(columns)
+    low -= _PADDING
+    shape = high - low + 1 + _PADDING
     wall_bins, furniture_bins, floor = _count_bins(
         columns - low,
         heights,

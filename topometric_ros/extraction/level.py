@@ -30,6 +30,7 @@ _LAYER = 0.05
 _FIT_BAND = 0.06
 _FIT_ROUNDS = 4
 _COARSE_STEP = 1.5
+_COARSE_PART = 4
 _NOTICED_TILT = 0.5
 _EXTENT = 2.45
 """Side of a square over the root mean square distance of its points from the middle."""
@@ -276,7 +277,9 @@ def _sharpest_slope(
     step, limit = np.radians(_COARSE_STEP), np.radians(config.largest_tilt)
     side = np.arange(-np.floor(limit / step), np.floor(limit / step) + 1) * step
     grid = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
-    slope = _best(sample, grid[np.hypot(grid[:, 0], grid[:, 1]) <= limit + 1e-9], span * step / 2)
+    within = grid[np.hypot(grid[:, 0], grid[:, 1]) <= limit + 1e-9]
+    # Layers are thick at first, and a part of the points tells them as well.
+    slope = _best(np.ascontiguousarray(sample[::_COARSE_PART]), within, span * step / 2)
     while span * step > _LAYER / 2:
         step /= 3
         side = np.arange(-3, 4) * step

@@ -153,13 +153,14 @@ def navigable_volume(
     dilated = dilate(standing, column(height))
     component = connected_components(dilated, connectivity(config.connectivity))
     row = index.rows(dilated)
-    enclosure = _enclosure(dilated, component, row >= 0, grid, index)
-    kept = enclosure >= min(config.smallest_enclosure, enclosure.max())
+    large = np.ones(component.max() + 1, bool)
+    if config.keep == "all":
+        voxels = np.bincount(component[row >= 0], minlength=len(large))
+        large = voxels * grid.voxel_size**2 >= config.smallest_area
+    enclosure = _enclosure(dilated, component, (row >= 0) & large[component], grid, index)
+    kept = large & (enclosure >= min(config.smallest_enclosure, enclosure.max()))
     if config.keep == "largest":
         kept &= np.cumsum(kept) == 1
-    else:
-        voxels = np.bincount(component[row >= 0], minlength=len(kept))
-        kept &= voxels * grid.voxel_size**2 >= config.smallest_area
     logger.debug("%d navigable components, %d kept", len(kept), kept.sum())
     return grid.coords[np.sort(row[kept[component] & (row >= 0)])]
 

@@ -127,7 +127,7 @@ def find_links(rooms: MappedRooms, config: PassageConfig) -> tuple[Passage, ...]
         own = storey == one.id
         own[own] = _walkable(navigable[own], grid, one, config)
         contacts = one_a_door(_contacts(grid, navigable[own], label[own], config), config.door)
-        floor = rooms.standing[own]
+        floor = _Floor(rooms.standing[own])
         found += [_measured(c, surroundings, floor, one, grid.voxel_size, config) for c in contacts]
     found += find_stairs(rooms, config.stairs)
     return tuple(sorted(found, key=lambda p: p.rooms))
@@ -169,12 +169,12 @@ def _plain_passage(contact: Contact, voxel_size: float, config: PassageConfig) -
 def _measured(
     contact: Contact,
     surroundings: Surroundings,
-    floor: NDArray[np.float64],
+    floor: _Floor,
     storey: Storey,
     voxel_size: float,
     config: PassageConfig,
 ) -> Passage:
-    """Return the passage of a contact with what stands round it; `floor` (n, 3) is walkable."""
+    """Return the passage of a contact with what stands round it; `floor` is walkable."""
     passage = _plain_passage(contact, voxel_size, config)
     x, y, z = passage.position
     doorway = surroundings.doorway(contact.points[:, :2], contact.extent(), z, storey.ceiling_z)
@@ -182,10 +182,25 @@ def _measured(
     if doorway is not None:
         (x, y), kind = doorway.middle, doorway.kind
         passage = replace(passage, width=doorway.width, height=doorway.height)
-    rise = kind_of_rise(floor[np.hypot(*(floor[:, :2] - (x, y)).T) <= _AROUND] - (x, y, z))
+    rise = kind_of_rise(floor.around((x, y)) - (x, y, z))
     kind = rise or kind
     confidence = _confidence(kind, passage.width)
     return replace(passage, position=(x, y, z), kind=kind, confidence=confidence)
+
+
+class _Floor:
+    """Places on a floor (n, 3), m, found by where they lie along x."""
+
+    def __init__(self, places: NDArray[np.float64]) -> None:
+        self._places = places[np.argsort(places[:, 0], kind="stable")]
+
+    def around(self, middle: tuple[float, float]) -> NDArray[np.float64]:
+        """Return the places near a place (x, y): (k, 3)."""
+        x = self._places[:, 0]
+        strip = slice(*np.searchsorted(x, (middle[0] - _AROUND, middle[0] + _AROUND)))
+        part = self._places[strip]
+        near: NDArray[np.float64] = part[np.hypot(*(part[:, :2] - middle).T) <= _AROUND]
+        return near
 
 
 def _confidence(kind: str, width: float) -> float:

@@ -8,6 +8,7 @@ the walls' cells is in truth free: the wall's face stops it.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -16,7 +17,6 @@ _PARTS = 2
 
 _GROWTH = 2
 _FEWEST = 2
-_CROSS = ndimage.generate_binary_structure(2, 1)
 
 
 def label_points(
@@ -48,8 +48,9 @@ def label_points(
     ).reshape(labels.shape)
     blocked = ndimage.binary_closing(faces >= _FEWEST, np.ones((3, 3)))
     labels = _grown(labels, _twice(wall) & ~blocked)
-    distance, (x, y) = ndimage.distance_transform_edt(labels == 0, return_indices=True)
-    nearest = np.where(distance <= reach * _PARTS, labels[x, y], 0).astype(np.int32)
+    wanted = np.zeros(labels.shape, bool)
+    wanted[fine[:, 0], fine[:, 1]] = True
+    nearest = _nearest(labels, wanted, reach * _PARTS)
     found: NDArray[np.int32] = nearest[fine[:, 0], fine[:, 1]]
     return found
 
@@ -61,9 +62,68 @@ def _twice(cells: NDArray) -> NDArray:  # type: ignore[type-arg]
 
 def _grown(labels: NDArray[np.int32], free: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Let rooms grow into free cells that touch one room only."""
-    none = np.iinfo(np.int32).max
     for _ in range(_GROWTH):
-        highest = ndimage.maximum_filter(labels, footprint=_CROSS)
-        lowest = ndimage.minimum_filter(np.where(labels > 0, labels, none), footprint=_CROSS)
-        labels = np.where(free & (labels == 0) & (highest == lowest), highest, labels)
+        labels = _grown_once(labels, free)
     return labels
+
+
+@njit(cache=True, nogil=True)
+def _grown_once(labels, free):  # type: ignore[no-untyped-def]
+    nx, ny = labels.shape
+    result = labels.copy()
+    for i in range(nx):
+        for j in range(ny):
+            if not free[i, j] or labels[i, j] != 0:
+                continue
+            only, several = 0, False
+            for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                a, b = i + di, j + dj
+                if 0 <= a < nx and 0 <= b < ny and labels[a, b] > 0:
+                    several |= only > 0 and only != labels[a, b]
+                    only = labels[a, b]
+            if only > 0 and not several:
+                result[i, j] = only
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _nearest(labels, wanted, reach):  # type: ignore[no-untyped-def]
+    """Label of the labelled cell nearest to each wanted one, ties by the lowest; 0 beyond reach.
+
+    Every row knows the nearest labelled cells to the left and to the right, so only rows are gone
+    through, from the cell's own outwards, until none can be nearer.
+    """
+    nx, ny = labels.shape
+    left = np.full((nx, ny), -1, np.int32)
+    right = np.full((nx, ny), -1, np.int32)
+    for i in range(nx):
+        last = -1
+        for j in range(ny):
+            last = j if labels[i, j] > 0 else last
+            left[i, j] = last
+        last = -1
+        for j in range(ny - 1, -1, -1):
+            last = j if labels[i, j] > 0 else last
+            right[i, j] = last
+    result = np.zeros((nx, ny), np.int32)
+    farthest = int(np.floor(reach * reach + 1e-9))
+    for i in range(nx):
+        for j in range(ny):
+            if not wanted[i, j]:
+                continue
+            best, label, step = farthest, 0, 0
+            while step * step <= best:
+                for row in (i - step, i + step):
+                    if not 0 <= row < nx:
+                        continue
+                    for column in (left[row, j], right[row, j]):
+                        if column < 0:
+                            continue
+                        square = step * step + (column - j) * (column - j)
+                        if square < best or (
+                            square == best and (label == 0 or labels[row, column] < label)
+                        ):
+                            best, label = square, labels[row, column]
+                step += 1
+            result[i, j] = label
+    return result

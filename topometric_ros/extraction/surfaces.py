@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.extraction.columns import NOTHING, Columns, sort_columns
-from topometric_ros.voxels.grid import thin, voxelise
+from topometric_ros.voxels.grid import bounds, thin, voxelise
 
 _BLOCK = 0.3
 """Edge in m of the blocks in which a plane is fitted to the points."""
@@ -59,6 +59,9 @@ _SMALLEST_SHARE_OF_GAPS = 0.02
 """Fewer voxels under or over a gap say nothing: of a cloud without ceilings lintels remain."""
 
 _GAP_SHARE = 0.5
+_MOST_BLOCKS = 5_000_000
+"""Up to so many blocks are all counted; of more, as of wide clouds, only those that occur."""
+
 _INDOORS = (2.0, 5.0)
 """Free heights of ordinary rooms, m."""
 
@@ -104,15 +107,16 @@ def fit_planes(points: NDArray[np.float64], height: float = _BLOCK) -> Planes:
     height : m, of the blocks
     """
     block = np.floor(points / (_BLOCK, _BLOCK, height)).astype(np.int64)
-    block -= block.min(axis=0)
-    size = block.max(axis=0) + 1
+    low, high = bounds(block)
+    block -= low
+    size = high - low + 1
     key = (block[:, 0] * size[1] + block[:, 1]) * size[2] + block[:, 2]
     stride = -(-len(points) // _MOST_POINTS)
     if stride > 1:
         # Whole blocks, spread over the cloud: Knuth's multiplicative hash of their place.
         chosen = ((key * 2_654_435_761) >> 16) % stride == 0
         points, key = points[chosen], key[chosen]
-    _, of_point, counts = np.unique(key, return_inverse=True, return_counts=True)
+    of_point, counts = _numbered(key, int(size.prod()))
     mean = np.stack([np.bincount(of_point, points[:, i]) for i in range(3)], 1) / counts[:, None]
     centred = points - mean[of_point]
     spread = np.empty((len(counts), 3, 3))
@@ -125,6 +129,15 @@ def fit_planes(points: NDArray[np.float64], height: float = _BLOCK) -> Planes:
     measured = float(counts[enough].sum() / max(1, counts.sum()))
     thickness = np.sqrt(np.maximum(values[:, 0], 0.0))
     return Planes(thickness, vectors[:, :, 0], counts[enough], measured)
+
+
+def _numbered(key: NDArray[np.int64], keys: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number the keys that occur, in their order: each point's, and how many points each has."""
+    if keys > _MOST_BLOCKS:
+        _, of_point, counts = np.unique(key, return_inverse=True, return_counts=True)
+        return of_point.reshape(-1), counts
+    every = np.bincount(key, minlength=1)
+    return (np.cumsum(every > 0) - 1)[key], every[every > 0]
 
 
 def measure_surfaces(planes: Planes) -> Surfaces:

@@ -165,7 +165,10 @@ def local_maxima(
 ) -> NDArray[np.bool_]:
     """Return which voxels no other within `radius` cells exceeds (eq. 27, Algorithm 3): (M,)."""
     index = VoxelIndex(navigable) if index is None else index
-    return _maxima(index.table, navigable, distance, ball(radius).offsets())
+    offsets = ball(radius).offsets()
+    # Most voxels have a better one nearby.
+    offsets = offsets[np.argsort((offsets**2).sum(axis=1), kind="stable")]
+    return _maxima(index.table, navigable, distance, offsets)
 
 
 @njit(cache=True, nogil=True)

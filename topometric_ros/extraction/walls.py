@@ -9,12 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.columns import Columns
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
+from topometric_ros.voxels.grid import bounds
 
 _EIGHT = np.ones((3, 3), bool)
 
@@ -79,14 +81,47 @@ def dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     """Grow a mask by a disk of `radius` cells."""
     if not mask.any():
         return mask.copy()
-    return np.asarray(ndimage.distance_transform_edt(~mask) <= radius)
+    grown: NDArray[np.bool_] = _stamped(mask, *_disk(radius))
+    return grown
 
 
 def eroded(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     """Shrink a mask by a disk of `radius` cells; what lies beyond the raster counts as set."""
-    if mask.all():
-        return mask.copy()
-    return np.asarray(ndimage.distance_transform_edt(mask) > radius)
+    return ~dilated(~mask, radius)
+
+
+def _disk(radius: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the offsets of the cells within `radius` of one: x and y, each (K,)."""
+    line = np.arange(-int(radius), int(radius) + 1)
+    x, y = (part.ravel() for part in np.meshgrid(line, line, indexing="ij"))
+    inside = np.sqrt(x * x + y * y) <= radius
+    return x[inside], y[inside]
+
+
+@njit(cache=True, nogil=True)
+def _stamped(mask, x, y):  # type: ignore[no-untyped-def]
+    """Lay a disk on every cell of a mask's rim: (nx, ny) bool."""
+    nx, ny = mask.shape
+    result = mask.copy()
+    for i in range(nx):
+        for j in range(ny):
+            if not mask[i, j]:
+                continue
+            # Within the mask the disks of the cells round it reach as far.
+            if (
+                0 < i < nx - 1
+                and 0 < j < ny - 1
+                and mask[i - 1, j]
+                and mask[i + 1, j]
+                and mask[i, j - 1]
+                and mask[i, j + 1]
+            ):
+                continue
+            for k in range(len(x)):
+                a, b = i + x[k], j + y[k]
+                if 0 <= a < nx and 0 <= b < ny:
+                    result[a, b] = True
+    return result
 
 
 def closed(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
@@ -116,8 +151,9 @@ def storey_raster(
     storey : its floor and ceiling
     """
     cells = columns.raster_cells()[members].astype(np.int64)
-    low = cells.min(0) - MARGIN
-    shape = tuple(cells.max(0) - low + 1 + MARGIN)
+    low, high = bounds(cells)
+    low -= MARGIN
+    shape = tuple(high - low + 1 + MARGIN)
     cells -= low
     above_floor = heights[members] - storey.floor
 

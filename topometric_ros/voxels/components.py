@@ -42,16 +42,23 @@ def connected_components(
         return np.zeros(0, np.int32)
     index = VoxelIndex(coords) if index is None else index
     labels = np.zeros(n, np.int32) if labels is None else np.asarray(labels, dtype=np.int32)
-    root = _join(index.table, coords, kernel.offsets(), labels)
-    kept = np.flatnonzero(labels >= 0)
-    _, component, size = np.unique(root[kept], return_inverse=True, return_counts=True)
-    lowest = np.full(len(size), np.iinfo(np.uint64).max, np.uint64)
-    np.minimum.at(lowest, component.reshape(-1), morton_encode(coords[kept]))
-    rank = np.empty(len(size), np.int32)
+    root = _join(index.table, coords, _once(kernel.offsets()), labels)
+    component, size, lowest = _numbered(root, labels, morton_encode(coords))
+    rank = np.empty(len(size) + 1, np.int32)
     rank[np.lexsort((lowest, -size))] = np.arange(len(size), dtype=np.int32)
-    result = np.full(n, -1, np.int32)
-    result[kept] = rank[component.reshape(-1)]
-    return result
+    rank[-1] = -1
+    return rank[component]
+
+
+def _once(offsets: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return offsets of which one of each two opposite ones is left out."""
+    all_ = {tuple(offset) for offset in offsets.tolist()}
+    kept = [
+        offset
+        for offset in offsets.tolist()
+        if tuple(offset) > (0, 0, 0) or tuple(-v for v in offset) not in all_
+    ]
+    return np.array(kept, np.int32).reshape(-1, 3)
 
 
 @njit(cache=True, nogil=True)
@@ -61,6 +68,26 @@ def _root(parent, i):  # type: ignore[no-untyped-def]
         parent[i] = parent[parent[i]]
         i = parent[i]
     return i
+
+
+@njit(cache=True, nogil=True)
+def _numbered(root, labels, codes):  # type: ignore[no-untyped-def]
+    """Number the trees: that of every voxel, -1 for none, their sizes and lowest Morton codes."""
+    number = np.full(len(root), -1, np.int64)
+    count = 0
+    for i in range(len(root)):
+        if labels[i] >= 0 and root[i] == i:
+            number[i] = count
+            count += 1
+    size = np.zeros(count, np.int64)
+    lowest = np.full(count, np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64)
+    component = np.full(len(root), -1, np.int64)
+    for i in range(len(root)):
+        if labels[i] >= 0:
+            component[i] = number[root[i]]
+            size[component[i]] += 1
+            lowest[component[i]] = min(lowest[component[i]], codes[i])
+    return component, size, lowest
 
 
 @njit(cache=True, nogil=True)

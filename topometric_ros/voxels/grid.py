@@ -88,11 +88,11 @@ def in_morton_order(coords: NDArray[np.integer]) -> NDArray[np.int32]:
 
 @njit(cache=True, nogil=True)
 def bounds(points):  # type: ignore[no-untyped-def]
-    """Lowest and highest coordinates of points (N, 3), N > 0, in one pass: (2, 3) float64."""
-    result = np.empty((2, 3))
+    """Lowest and highest coordinates of points or cells (N, K), N > 0, in one pass: (2, K)."""
+    result = np.empty((2, points.shape[1]), points.dtype)
     result[0] = result[1] = points[0]
     for i in range(len(points)):
-        for axis in range(3):
+        for axis in range(points.shape[1]):
             result[0, axis] = min(result[0, axis], points[i, axis])
             result[1, axis] = max(result[1, axis], points[i, axis])
     return result

@@ -72,5 +72,5 @@ class ShapeDescriptor:
 
 def _percent(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the share of values from each edge on to the next, the last one open, in percent."""
-    bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 1)
+    bins = np.minimum((values / (edges[1] - edges[0])).astype(np.int64), len(edges) - 1)
     return 100.0 * np.bincount(bins, minlength=len(edges)) / len(values)
