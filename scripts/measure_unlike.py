@@ -75,11 +75,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("buildings", nargs="*", default=BUILDINGS)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", nargs="+", choices=[row.name for row in ROWS], metavar="ROW")
     args = parser.parse_args()
     config = load_config("default")
-    outcomes: dict[str, list[tuple[str, TransformError | None]]] = {row.name: [] for row in ROWS}
+    rows = [row for row in ROWS if args.only is None or row.name in args.only]
+    outcomes: dict[str, list[tuple[str, TransformError | None]]] = {row.name: [] for row in rows}
     for building in args.buildings:
-        for row, told, error in _rows(building, args.seed, config):
+        for row, told, error in _rows(building, args.seed, config, rows):
             outcomes[row].append((told, error))
             print(f"{building}: {row}: {told}: {error}", file=sys.stderr, flush=True)
     print("| second agent | right | strictly | displacement, median (most) | refused because |")
@@ -89,7 +91,7 @@ def main() -> None:
 
 
 def _rows(
-    building: str, seed: int, config: ToolConfig
+    building: str, seed: int, config: ToolConfig, rows: Sequence[Equipment]
 ) -> list[tuple[str, str, TransformError | None]]:
     """Merge the first agent's map with the second's under each equipment."""
     base = SimulationConfig(overlap=0.5)
@@ -100,10 +102,10 @@ def _rows(
         raise TopometricError(f"{building}: the walks share {usual.overlap[0]:.2f} only")
     maps = {
         size: _map(usual.agents[0], size, 1.0, config)
-        for size in sorted({row.first_voxel_size for row in ROWS})
+        for size in sorted({row.first_voxel_size for row in rows})
     }
     found: list[tuple[str, str, TransformError | None]] = []
-    for row in ROWS:
+    for row in rows:
         agent = _second(building, base, row, seed, walks) if row.settings else usual.agents[1]
         try:
             b = _map(agent, row.voxel_size, row.unit, config)

@@ -96,6 +96,22 @@ class AgentPlacement:
 
 
 @dataclass(frozen=True)
+class Change:
+    """What one agent's map holds and another saw to be bare: moved furniture, a door.
+
+    `holder` and `witness` are indices of agents; `gone` says that the holder's map is the older
+    one and its voxels were dropped. Else they have appeared since or, where `ordered` is false, it
+    is not known which map is the newer. `points` (n, 3) float64, m, global level frame.
+    """
+
+    holder: int
+    witness: int
+    gone: bool
+    ordered: bool
+    points: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class GlobalMap:
     """The fused map of the anchor's group, in the global frame.
 
@@ -107,6 +123,7 @@ class GlobalMap:
     map: TopometricMap
     agents: NDArray[np.uint32]
     rooms_of: Mapping[int, tuple[tuple[int, int], ...]] = field(default_factory=dict)
+    changes: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)

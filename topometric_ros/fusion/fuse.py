@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from topometric_ros.alignment import GlobalMap
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.assemble import assemble_rooms
 from topometric_ros.extraction.mapped_rooms import MappedRooms
+from topometric_ros.fusion.changes import ChangesConfig, without_outdated
 from topometric_ros.fusion.fuse_rooms import (
     Fragment,
     fused_passages,
@@ -26,6 +27,7 @@ from topometric_ros.fusion.fuse_rooms import (
     storeys_of_rooms,
 )
 from topometric_ros.fusion.fuse_storeys import fused_storeys
+from topometric_ros.fusion.nonrigid import NonRigidConfig, bends
 from topometric_ros.fusion.poses import Transform, apply, inverse, level_frames
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 from topometric_ros.voxels.grid import (
@@ -57,6 +59,8 @@ class FuseConfig:
     floor_distance: float = parameter(
         0.5, "Floors are of one storey up to this difference.", unit="m", minimum=0.0, maximum=1.5
     )
+    changes: ChangesConfig = field(default_factory=ChangesConfig)
+    nonrigid: NonRigidConfig = field(default_factory=NonRigidConfig)
 
 
 def fuse(
@@ -88,9 +92,16 @@ def fuse(
         for index, (m, T) in enumerate(zip(maps, T_global_agent, strict=True))
         if T is not None
     ]
+    placed, changes = without_outdated(placed, config.changes)
     size = max(m.voxel_size for _, m, _ in placed)
     origin = np.asarray(anchor.origin, dtype=np.float64)
-    clouds = [apply(T, m.surface()) for _, m, T in placed]
+    bent = None
+    if config.nonrigid.enabled and len(placed) > 1:
+        bent = bends([(m, T) for _, m, T in placed], config.nonrigid)
+    clouds = [
+        bent[k].apply(m.surface()) if bent else apply(T, m.surface())
+        for k, (_, m, T) in enumerate(placed)
+    ]
     if sum(map(len, clouds)) == 0:
         return GlobalMap(_empty(anchor, frame_id), np.zeros(0, dtype=np.uint32))
     points = np.concatenate(clouds)
@@ -135,7 +146,7 @@ def fuse(
         storeys=storeys,
         T_level_input=anchor.T_level_input,
     )
-    return GlobalMap(fused, agents, rooms_by_id(new_id, known))
+    return GlobalMap(fused, agents, rooms_by_id(new_id, known), changes)
 
 
 def _version(maps: Sequence[TopometricMap]) -> tuple[str, int]:

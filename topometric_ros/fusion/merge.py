@@ -19,6 +19,7 @@ from topometric_ros.alignment import (
 )
 from topometric_ros.errors import TopometricError
 from topometric_ros.fusion.align import align
+from topometric_ros.fusion.changes import told
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fuse import fuse
 from topometric_ros.fusion.groups import Groups, group_agents
@@ -93,7 +94,11 @@ def merge(
         agents=places,
         alignments=groups.alignments,
         global_map=global_map,
-        warnings=(*_warnings(maps), *_contradicted(places, priors)),
+        warnings=(
+            *_warnings(maps),
+            *_contradicted(places, priors),
+            *told(global_map.changes, agents),
+        ),
         timings=watch.seconds,
     )
 

@@ -5,18 +5,44 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from topometric_ros.alignment import MERGE_SCHEMA, Alignment, MergeResult
+import numpy as np
+
+from topometric_ros.alignment import MERGE_SCHEMA, Alignment, GlobalMap, MergeResult
 from topometric_ros.io.map_files import save_map
+from topometric_ros.io.ply import write_ply
 from topometric_ros.io.summaries import matrix_rows, write_json, write_rooms_ply
 
 
 def write_merge_files(folder: Path, result: MergeResult) -> None:
-    """Write merge.json, global.ply, global.tmap and timings.json into a folder."""
+    """Write merge.json, global.ply, global.tmap and timings.json into a folder.
+
+    Where maps contradict each other changes.ply too: `agent` is the index of who holds a point.
+    """
     write_json(folder / "merge.json", merge_summary(result))
     write_rooms_ply(folder / "global.ply", result.global_map.map, result.global_map.agents)
     observers = tuple(agent.id for agent in result.agents)
     save_map(folder / "global.tmap", result.global_map.map, result.global_map.agents, observers)
+    if result.global_map.changes:
+        _write_changes(folder / "changes.ply", result.global_map)
     write_json(folder / "timings.json", rounded_timings(result.timings))
+
+
+def _write_changes(path: Path, global_map: GlobalMap) -> None:
+    """Write what has changed: red what is gone, green what has appeared, yellow where unknown."""
+    T = np.linalg.inv(global_map.map.T_level_input)
+    dtype = [(axis, "<f8") for axis in "xyz"] + [("agent", "<i4"), ("gone", "u1")]
+    dtype += [(channel, "u1") for channel in ("red", "green", "blue")]
+    parts = []
+    for change in global_map.changes:
+        part = np.zeros(len(change.points), dtype)
+        points = change.points @ T[:3, :3].T + T[:3, 3]
+        for axis, name in enumerate("xyz"):
+            part[name] = points[:, axis]
+        part["agent"], part["gone"] = change.holder, change.gone
+        part["red"] = 0 if change.ordered and not change.gone else 220
+        part["green"] = 0 if change.gone else 180
+        parts.append(part)
+    write_ply(path, np.concatenate(parts))
 
 
 def rounded_timings(timings: dict[str, float]) -> dict[str, float]:
