@@ -11,7 +11,13 @@ import pytest
 from test import helpers_matching
 from test.helpers import moved, yaw_transform
 from test.helpers_matching import PLAN, T_BUILDING_A, T_BUILDING_B, agent_map
-from topometric_ros.alignment import Alignment, AlignmentStatus, MergeResult
+from topometric_ros.alignment import (
+    AgentPlacement,
+    AgentStatus,
+    Alignment,
+    AlignmentStatus,
+    MergeResult,
+)
 from topometric_ros.fusion.changes import told
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fuse import FuseConfig, fuse
@@ -83,7 +89,11 @@ def test_maps_of_one_time_are_marked_and_nothing_is_dropped(
     result = fused(a, b)
     assert min(boxes(result.map)) > 100
     assert [c.ordered for c in result.changes] == [False, False]
-    whole = MergeResult("global", (), (), result)
+    T = np.eye(4)
+    places = tuple(
+        AgentPlacement(name, name, AgentStatus.ALIGNED, "", 0, T, T) for name in ("a", "b")
+    )
+    whole = MergeResult("global", places, (), result)
     write_merge_files(tmp_path, whole)
     written = (tmp_path / "changes.ply").read_bytes()
     assert b"element vertex %d" % sum(len(c.points) for c in result.changes) in written
