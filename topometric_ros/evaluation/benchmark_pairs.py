@@ -18,7 +18,7 @@ from typing import Any
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.evaluation.case import simulate_agents
-from topometric_ros.evaluation.suite import CaseSpec, SuiteError, read_suite
+from topometric_ros.evaluation.suite import RELEASED, CaseSpec, SuiteError, read_suite
 from topometric_ros.simulation.case_files import write_case
 from topometric_ros.visualization.page import counted
 
@@ -129,12 +129,14 @@ def _cases(source: str) -> list[PairFolder | CaseSpec]:
         suite = read_suite(source)
     except SuiteError as error:
         raise BenchmarkError(f"no folder of pairs, and no suite: {error}") from error
-    more = next((case for case in suite.cases if case.building and case.agents != 2), None)
+    # Released maps are no pairs: there are as many as the scene has.
+    cases = [case for case in suite.cases if case.agents != RELEASED]
+    more = next((case for case in cases if case.building and case.agents != 2), None)
     if more is not None:
         raise BenchmarkError(f"{source}: {more.agents} agents; the methods align two clouds")
     return [
         _pair(Path(case.folders[0]), case.group) if len(case.folders) == 1 else case
-        for case in suite.cases
+        for case in cases
     ]
 
 

@@ -31,7 +31,7 @@ from topometric_ros.evaluation.metrics_rooms import (
     room_scores,
 )
 from topometric_ros.evaluation.score_pair import ScoredAgent, score_pair, scored_agent
-from topometric_ros.evaluation.suite import CaseSpec
+from topometric_ros.evaluation.suite import RELEASED, CaseSpec
 from topometric_ros.fusion.merge import merge
 from topometric_ros.fusion.poses import Transform, apply, inverse
 from topometric_ros.io.map_files import load_map, save_map
@@ -87,6 +87,10 @@ def load_case(spec: CaseSpec) -> EvaluationCase:
         return crossed_case(folders[0], folders[1])
     if folders:
         return of_case(read_case(folders[0]))
+    if spec.agents == RELEASED:
+        from topometric_ros.simulation.released import released_case  # It imports Open3D.
+
+        return of_case(released_case(Path(spec.building), spec.seed))
     return of_case(simulate_agents(spec))
 
 

@@ -7,6 +7,7 @@
     data: ../shared/data             # where "{data}" below points; an error where it is missing
     source: where to get the data
     buildings: ["office:rooms=12,seed={seed}", "{data}/buildings/duplex.npz"]
+    released: ["{data}/House"]       # scenes whose own maps are the agents
     agents: 2
     seeds: [1, 2]
     overlaps: [0.35, 0.7, 0.0]
@@ -34,11 +35,14 @@ from topometric_ros.errors import ConfigurationError, TopometricError
 from topometric_ros.evaluation.case import cell_of, crossed_folders, pair_folders
 from topometric_ros.extraction.config import PRESETS
 
+RELEASED = 0
+"""`agents` of a case whose agents are the maps that a scene has."""
 _KEYS = {
     **{"name": str, "note": str, "presets": list, "pairs": str, "cross": int, "buildings": list},
     **{
         "data": str,
         "source": str,
+        "released": list,
         "agents": int,
         "seeds": list,
         "overlaps": list,
@@ -56,7 +60,8 @@ class CaseSpec:
     """How to get one case; plain values, so that it travels to other processes and hashes.
 
     `group` is the row of the tables that the case belongs to. `folders` are those of ready pairs:
-    one for a pair, two for a cross pair, none where `building` is simulated.
+    one for a pair, two for a cross pair, none where `building` is simulated or, with `agents`
+    `RELEASED`, a scene's own maps.
     """
 
     name: str
@@ -112,9 +117,9 @@ def parse_suite(tree: Any, name: str = "suite") -> Suite:
         if not isinstance(value, _KEYS[key]) or isinstance(value, bool):
             raise SuiteError(f"{key}: expected {_KEYS[key].__name__}, got {value!r}")
     presets = _checked(tree.get("presets", PRESETS))
-    cases = (*_ready(tree), *_simulated(tree))
+    cases = (*_ready(tree), *_simulated(tree), *_released(tree))
     if not cases:
-        raise SuiteError("no cases: expected pairs or buildings")
+        raise SuiteError("no cases: expected pairs, buildings or released")
     names = [case.name for case in cases]
     twice = next((n for n in names if names.count(n) > 1), None)
     if twice is not None:
@@ -152,11 +157,7 @@ def _simulated(tree: Mapping[str, Any]) -> list[CaseSpec]:
     """Return all combinations of buildings, degradations, overlaps and seeds."""
     if "buildings" not in tree:
         return []
-    data = tree.get("data", "")
-    if data and not Path(data).is_dir():
-        where = tree.get("source", "the data is not part of this repository")
-        raise SuiteError(f"{data}: no such folder; {where}")
-    buildings = [str(building).replace("{data}", data) for building in tree["buildings"]]
+    buildings = _in_data(tree, "buildings")
     agents = tree.get("agents", 2)
     if agents < 2:
         raise SuiteError(f"agents: expected at least 2, got {agents}")
@@ -174,6 +175,30 @@ def _simulated(tree: Mapping[str, Any]) -> list[CaseSpec]:
     ]
     _check_values(cases)
     return cases
+
+
+def _released(tree: Mapping[str, Any]) -> list[CaseSpec]:
+    """Return the scenes whose own maps are the agents, in frames drawn from the first seed."""
+    seed = tree.get("seeds", [0])[0]
+    return [
+        CaseSpec(
+            name=f"{Path(scene).name} released maps",
+            group="released maps",
+            building=scene,
+            agents=RELEASED,
+            seed=seed,
+        )
+        for scene in _in_data(tree, "released")
+    ]
+
+
+def _in_data(tree: Mapping[str, Any], key: str) -> list[str]:
+    """Return a list of the suite with `{data}` filled in; raises SuiteError without the data."""
+    data, entries = tree.get("data", ""), tree.get(key, [])
+    if entries and data and not Path(data).is_dir():
+        where = tree.get("source", "the data is not part of this repository")
+        raise SuiteError(f"{data}: no such folder; {where}")
+    return [str(entry).replace("{data}", data) for entry in entries]
 
 
 def _check_values(cases: Sequence[CaseSpec]) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.simulation.degrade import cell_codes
-from topometric_ros.simulation.labelled import LabelledBuilding
+from topometric_ros.simulation.labelled import LabelledBuilding, TrueLink
 from topometric_ros.simulation.trajectories import OVERLAP_VOXEL
 
 
@@ -62,6 +62,12 @@ class Case:
     def pairs(self) -> list[tuple[int, int]]:
         """Return the pairs of agents in the order of `overlap`."""
         return list(itertools.combinations(range(len(self.agents)), 2))
+
+
+def edges_of(links: Sequence[TrueLink]) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of rooms that links join, the lower id first."""
+    pairs = {(min(link.rooms), max(link.rooms)) for link in links}
+    return tuple(sorted(pair for pair in pairs if pair[0] != pair[1]))
 
 
 def overlaps_of(seen: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from topometric_ros.configuration import parameter
 from topometric_ros.simulation import degrade
 from topometric_ros.simulation.agents import WalkConfig
-from topometric_ros.simulation.case import Case, CaseError, SimulatedAgent, overlaps_of
+from topometric_ros.simulation.case import Case, CaseError, SimulatedAgent, edges_of, overlaps_of
 from topometric_ros.simulation.case_files import read_case, write_case
 from topometric_ros.simulation.degrade import DegradeConfig
 from topometric_ros.simulation.labelled import LabelledBuilding
@@ -129,13 +129,8 @@ def simulate(
         agent, hits = _agent(ready, config, k, cells[k], walk, stream)
         agents.append(agent)
         seen.append(hits)
-    return Case(building.name, seed, tuple(agents), overlaps_of(seen), _edges(building), building)
-
-
-def _edges(building: LabelledBuilding) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of rooms that links join, the lower id first."""
-    pairs = {(min(link.rooms), max(link.rooms)) for link in building.links}
-    return tuple(sorted(pair for pair in pairs if pair[0] != pair[1]))
+    edges = edges_of(building.links)
+    return Case(building.name, seed, tuple(agents), overlaps_of(seen), edges, building)
 
 
 def _agent(

@@ -78,7 +78,19 @@ def load_ply(path: Path) -> LabelledBuilding:
 
 
 def load_cslamd(path: Path) -> LabelledBuilding:
-    """Return a scene of the Collaborative SLAM data set: partial maps moved into one frame.
+    """Return a scene of the Collaborative SLAM data set: all of its maps together (`cslamd_maps`).
+
+    Raises
+    ------
+    BuildingError
+        A file is damaged, no map has a transform, or there are no labels.
+    """
+    clouds, labels = zip(*cslamd_maps(path), strict=True)
+    return _of_labels(path.name, np.concatenate(clouds), np.concatenate(labels))
+
+
+def cslamd_maps(path: Path) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """Return the points (N, 3), m, building frame, and labels (N,) of every map of a scene.
 
     The maps are `meshes/<sequence>.ply` as the release has them, in one frame already, and
     `meshes.txt` is T_building_meshes, sixteen numbers, row by row; without it the frame is the
@@ -114,7 +126,7 @@ def load_cslamd(path: Path) -> LabelledBuilding:
         _labels_of_nearest(points, annotation) if labels is None else labels
         for points, labels in zip(clouds, rooms, strict=True)
     ]
-    return _of_labels(path.name, np.concatenate(clouds), np.concatenate(given))
+    return list(zip(clouds, given, strict=True))
 
 
 def read_labelled_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64] | None]:
