@@ -113,6 +113,22 @@ def test_furniture_does_not_split_a_room() -> None:
     assert labels.max() == 0
 
 
+def test_a_row_of_pillars_does_not_divide_a_hall() -> None:
+    hall = [box_room((0, 0, 0), (14, 10, 2.6))]
+    hall += [box_room((2 + 2.4 * i, 5.0, 0), (0.4, 0.4, 2.6)) for i in range(5)]
+    _, labels = _labels(np.concatenate(hall))
+    assert labels.max() == 0
+
+
+def test_the_rim_of_what_was_seen_divides_no_room() -> None:
+    room = box_room((0, 0, 0), (9, 5, 2.6))
+    # A scanner near one end saw the floor of the other end in rings that touch nowhere.
+    ring = np.floor(room[:, 0] / 0.8) % 2 == 0
+    seen = (room[:, 0] < 3.0) | (room[:, 2] > 0.3) & (room[:, 2] < 2.5) | ring
+    _, labels = _labels(room[seen])
+    assert labels.max() == 0
+
+
 def test_a_low_room_still_has_walls() -> None:
     points = _two_rooms()
     _, labels = _labels(points * (1.0, 1.0, 2.15 / 2.6))
@@ -218,7 +234,7 @@ def test_a_doorway_has_wall_beyond_its_ends_and_little_to_see_through() -> None:
     x, y = np.nonzero(wall)
     grid = np.stack(np.meshgrid(np.arange(70), np.arange(50), indexing="ij"), -1)
     distance = np.sqrt(((grid[:, :, None] - np.stack([x, y], -1)) ** 2).sum(-1).min(-1))
-    raster = StoreyRaster(np.zeros(2, np.int64), inside, wall, inside & ~wall, distance)
+    raster = StoreyRaster(np.zeros(2, np.int64), inside, wall, inside & ~wall, distance, distance)
     features = pair_features(raster, pieces, 7, 120.0)
     assert (features.a.tolist(), features.b.tolist()) == ([0], [1])
     assert features.saddle[0] == pytest.approx(4.5, abs=0.6)

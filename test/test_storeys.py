@@ -100,3 +100,13 @@ def test_the_faces_of_a_slab_seen_on_one_side_only_stay_apart() -> None:
     assert storeys[1].floor == pytest.approx(2.75, abs=0.01)
     wrong = (heights < 2.62) & (of_voxel == 1) | (heights > 2.73) & (of_voxel == 0)
     assert wrong.mean() < 0.001
+
+
+@pytest.mark.parametrize(("bare", "floors"), [(False, [0.0, 2.9]), (True, [0.0])])
+def test_a_small_upper_storey_needs_walls(bare: bool, floors: list[float]) -> None:
+    hall = box_room((0, 0, 0), (20, 10, 2.6))
+    landing = box_room((-4, 0, 2.9), (2.4, 2, 2.5))
+    if bare:
+        landing = landing[(landing[:, 2] < 2.95) | (landing[:, 2] > 5.35)]
+    storeys, _, _ = _storeys(np.concatenate([hall, landing]))
+    assert [s.floor for s in storeys] == pytest.approx(floors, abs=0.03)

@@ -60,8 +60,8 @@ def pair_features(
     """
     count = int(pieces.max())
     numbers = np.arange(1, count + 1)
-    peak = np.asarray(ndimage.maximum(raster.distance, pieces, numbers), dtype=np.float64)
-    pair, saddle, cells = _saddles(extended(pieces, reach), raster.distance)
+    peak = np.asarray(ndimage.maximum(raster.clearance, pieces, numbers), dtype=np.float64)
+    pair, saddle, cells = _saddles(extended(pieces, reach), raster.clearance)
     corner, line = _openings(raster.wall, cells)
     points, owner = _samples(raster.distance, pieces, sample_step)
     shape = (count, count)

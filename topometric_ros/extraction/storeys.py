@@ -39,6 +39,25 @@ class StoreyConfig:
     smallest_share: float = parameter(
         0.06, "Smallest floor as a share of the largest.", minimum=0.0, maximum=1.0
     )
+    least_share: float = parameter(
+        0.02,
+        "Smallest floor with walls round it, as where an agent looked up a stairwell.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    walled: float = parameter(
+        0.5,
+        "Walls and furniture above a floor that small, in voxels over those of the floor.",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    storey_height: float = parameter(
+        2.4,
+        "Smallest height between a floor that small and other floors: landings lie between.",
+        unit="m",
+        minimum=1.0,
+        maximum=5.0,
+    )
     smallest_area: float = parameter(1.0, "Smallest floor.", unit="m²", minimum=0.05, maximum=100.0)
     separation: float = parameter(
         1.8, "Smallest height between two floors.", unit="m", minimum=1.0, maximum=5.0
@@ -175,25 +194,45 @@ def _stands_out(counts: NDArray[np.int64], level: int, factor: float) -> bool:
 
 def _floor_levels(levels: _Levels, config: StoreyConfig) -> list[int]:
     """Return the cells of the floors, lowest first (change B of the recipe)."""
-    area = config.smallest_area / RASTER**2
-    apart = round(config.separation / RASTER)
-    least = max(config.smallest_share * levels.floors.max(), area)
     floors: list[int] = []
-    for level in _maxima(levels.floors, least):
-        clear = all(abs(level - f) >= apart for f in floors)
-        stands_out = _stands_out(levels.floors, level, config.prominence)
-        if clear and stands_out and not _is_top_of_ceiling(levels, level):
+    covered, open_ = levels.floors, levels.open
+    for level in _candidates(covered, config):
+        small = covered[level] < config.smallest_share * covered.max()
+        if not _is_clear(level, floors, config.storey_height if small else config.separation):
+            continue
+        if small and levels.standing[level] < config.walled * covered[level]:
+            continue
+        if _stands_out(covered, level, config.prominence) and not _is_top_of_ceiling(levels, level):
             floors.append(level)
-    apart = round(config.roofless_separation / RASTER)
-    candidates = _maxima(levels.open, max(config.roofless_share * levels.open.max(), area))
-    most = max((levels.standing[c] for c in candidates + floors), default=0)
+    candidates = _candidates(open_, config)
+    share = config.roofless_share * open_.max()
+    large = [level for level in candidates if open_[level] >= share]
+    most = max((levels.standing[level] for level in large + floors), default=0)
     for level in candidates:
-        clear = all(abs(level - f) >= apart for f in floors)
-        stands_out = _stands_out(levels.open, level, config.prominence)
-        stood_on = levels.standing[level] >= max(config.standing_share * most, len(floors) > 0)
-        if clear and stands_out and stood_on:
+        small = open_[level] < share
+        apart = config.storey_height if small else config.roofless_separation
+        least = config.standing_share * most
+        if small:
+            least = max(least, config.walled * open_[level])
+        stood_on = levels.standing[level] >= max(least, len(floors) > 0)
+        if (
+            stood_on
+            and _is_clear(level, floors, apart)
+            and _stands_out(open_, level, config.prominence)
+        ):
             floors.append(level)
     return sorted(floors)
+
+
+def _candidates(counts: NDArray[np.int64], config: StoreyConfig) -> list[int]:
+    """Return the levels that may be floors, the largest first."""
+    area = config.smallest_area / RASTER**2
+    return _maxima(counts, max(config.least_share * counts.max(), area))
+
+
+def _is_clear(level: int, floors: Sequence[int], apart: float) -> bool:
+    """Whether a level lies `apart` (m) or more from every floor."""
+    return all(abs(level - f) >= round(apart / RASTER) for f in floors)
 
 
 def _ceiling_level(

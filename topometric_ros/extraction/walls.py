@@ -27,6 +27,12 @@ _AROUND = 21
 _ROOF = 80
 """Cells that stand on nothing in a square of 2.1 m: more than the lintel of a wide door has."""
 
+_BESIDE = 2
+"""Cells round a pillar that are looked at."""
+
+_OPEN = 30.0
+"""Cells from the nearest wall beyond which it narrows nothing."""
+
 MARGIN = 10
 """Empty cells round the raster, so that no operation meets its edge."""
 
@@ -57,6 +63,13 @@ class WallsConfig:
     sloped_roofs: bool = parameter(
         True, "Drop thick wall without anything under it: a sloped roof that enters the band."
     )
+    pillar: float = parameter(
+        0.6,
+        "Free-standing pieces of wall up to this wide divide no room: pillars, lamps.",
+        unit="m",
+        minimum=0.0,
+        maximum=2.0,
+    )
     roof_support: int = parameter(
         10, "Occupied cells 0.3 to 1.5 m above the floor that make wall of it.", minimum=1
     )
@@ -67,7 +80,8 @@ class StoreyRaster:
     """One storey from above; cell (i, j) is the column at voxel coordinates `corner + (i, j)`.
 
     `observed` columns hold any voxel of the storey, `domain` is the floor between the walls
-    whether seen or not, `distance` (cells, float64) that from the nearest wall or the unknown.
+    whether seen or not, `distance` (cells, float64) that from the nearest wall or the unknown,
+    `clearance` that from the nearest wall alone, at most 30: the rim of what was seen is no wall.
     """
 
     corner: NDArray[np.int64]
@@ -75,6 +89,7 @@ class StoreyRaster:
     wall: NDArray[np.bool_]
     domain: NDArray[np.bool_]
     distance: NDArray[np.float64]
+    clearance: NDArray[np.float64]
 
 
 def dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
@@ -172,10 +187,34 @@ def storey_raster(
         wall = closed(wall, closing)
     observed = np.zeros(shape, bool)
     observed[tuple(cells.T)] = True
-    domain = closed(observed, closing) & ~wall
+    ground = closed(observed, closing)
+    wall = _without_pillars(wall, ground, round(config.pillar / RASTER))
+    domain = ground & ~wall
     inside = (domain | dilated(wall, 2)) & ~wall
     distance = np.asarray(ndimage.distance_transform_edt(inside))
-    return StoreyRaster(columns.corner + low, observed, wall, domain, distance)
+    return StoreyRaster(columns.corner + low, observed, wall, domain, distance, clearance(wall))
+
+
+def clearance(wall: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return how far the nearest wall is from every cell: (nx, ny) float64, cells, at most 30."""
+    if not wall.any():
+        return np.full(wall.shape, _OPEN)
+    return np.minimum(ndimage.distance_transform_edt(~wall), _OPEN)
+
+
+def _without_pillars(
+    wall: NDArray[np.bool_], ground: NDArray[np.bool_], size: int
+) -> NDArray[np.bool_]:
+    """Drop walls of `size` cells at most that stand alone with ground seen all round.
+
+    Where less was seen, a small piece may be all that was seen of a wall.
+    """
+    parts, count = ndimage.label(wall, _EIGHT)
+    kept = np.ones(count + 1, bool)
+    for part, (x, y) in enumerate(ndimage.find_objects(parts), 1):
+        kept[part] = max(x.stop - x.start, y.stop - y.start) > size
+    kept[np.unique(parts[dilated(~ground, _BESIDE)])] = True
+    return wall & kept[parts]
 
 
 def _without_roofs(
