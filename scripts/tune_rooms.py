@@ -7,7 +7,8 @@ CASES holds one folder a case, as `topometric simulate` writes them and as the r
 With candidates, weights are drawn round those of the configuration; every building is then scored
 with the candidate that is best for all other buildings, so that nothing was fitted to it. Prints
 a Markdown table: MIoU as `check/score.py` counts it, and how far the rooms of two agents agree
-where voxels of both lie within 0.1 m (mean Jaccard index of the assigned rooms).
+where voxels of both lie within 0.1 m: the mean Jaccard index of the first agent's rooms with those
+assigned to them, and of the two rooms that hold most of each true room which both walked through.
 """
 
 from __future__ import annotations
@@ -56,8 +57,10 @@ def main() -> None:
     buildings = np.array([case[0].building for case in cases])
     candidates = _candidates(args.candidates, np.random.default_rng(args.seed))
     found = np.array([[_scores(case, weights) for case in cases] for weights in candidates])
-    print("| building | clouds | MIoU | worst | agreement | left out: MIoU | worst |")
-    print("|---|---:|---:|---:|---:|---:|---:|")
+    print(
+        "| building | clouds | MIoU | worst | agreement | rooms of both | left out: MIoU | worst |"
+    )
+    print("|---|---:|---:|---:|---:|---:|---:|---:|")
     kept = []
     for building in sorted(set(buildings.tolist())):
         ours = buildings == building
@@ -72,13 +75,13 @@ def main() -> None:
 def _row(
     building: str, now: NDArray[np.float64], fitted: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Print a building's line from the scores (n, 3) of its cases; return what is averaged."""
+    """Print a building's line from the scores (n, 4) of its cases; return what is averaged."""
     rows = np.array(
         [
             2.0 * len(now),
             now[:, :2].mean(),
             now[:, :2].min(),
-            np.nanmean(now[:, 2]) if np.isfinite(now[:, 2]).any() else np.nan,
+            *(np.nanmean(k) if np.isfinite(k).any() else np.nan for k in now[:, 2:].T),
             fitted[:, :2].mean(),
             fitted[:, :2].min(),
         ]
@@ -123,13 +126,17 @@ def _read(folder: Path) -> tuple[Agent, Agent]:
     return agents[0], agents[1]
 
 
-def _scores(case: tuple[Agent, Agent], weights: MergingConfig) -> tuple[float, float, float]:
-    """Return the MIoU of both agents and how far their rooms agree."""
+def _scores(case: tuple[Agent, Agent], weights: MergingConfig) -> tuple[float, ...]:
+    """Return the MIoU of both agents and how far their rooms agree, all and those of both."""
     config = ExtractionConfig()
     config = replace(config, narrowings=replace(config.narrowings, merging=weights))
     maps = [extract(agent.points, config).map for agent in case]
-    found = [_miou(agent, m) for agent, m in zip(case, maps, strict=True)]
-    return found[0], found[1], _agreement(case, maps)
+    true = [_truth(agent, m) for agent, m in zip(case, maps, strict=True)]
+    found = [
+        room_scores(room_overlap(t, m.room), agent.walked).miou_walked
+        for agent, m, t in zip(case, maps, true, strict=True)
+    ]
+    return (*found, *_agreement(case, maps, true[0]))
 
 
 def _centres(m: TopometricMap) -> NDArray[np.float64]:
@@ -138,17 +145,23 @@ def _centres(m: TopometricMap) -> NDArray[np.float64]:
     return np.asarray((m.centres() - T[:3, 3]) @ T[:3, :3])
 
 
-def _miou(agent: Agent, m: TopometricMap) -> float:
+def _truth(agent: Agent, m: TopometricMap) -> NDArray[np.int64]:
+    """Return the true room of every voxel, that of the nearest point: (N,), -1 none."""
     reach = 2 * m.voxel_size
     distance, nearest = cKDTree(agent.points).query(_centres(m), distance_upper_bound=reach)
     inside = np.isfinite(distance)
     true = np.full(len(inside), -1, np.int64)
     true[inside] = agent.room[nearest[inside]]
-    return room_scores(room_overlap(true, m.room), agent.walked).miou_walked
+    return true
 
 
-def _agreement(case: tuple[Agent, Agent], maps: list[TopometricMap]) -> float:
-    """Return the mean Jaccard index of the rooms in what both saw; NaN where that is too little."""
+def _agreement(
+    case: tuple[Agent, Agent], maps: list[TopometricMap], true: NDArray[np.int64]
+) -> tuple[float, float]:
+    """Return two mean Jaccard indices of rooms in what both saw; NaN where that is too little.
+
+    `true` (N,) are the true rooms of the first map's voxels.
+    """
     places = []
     for agent, m in zip(case, maps, strict=True):
         T = agent.T_case_input
@@ -157,12 +170,28 @@ def _agreement(case: tuple[Agent, Agent], maps: list[TopometricMap]) -> float:
     distance, nearest = cKDTree(places[1]).query(places[0], distance_upper_bound=0.1)
     shared = np.isfinite(distance)
     if np.count_nonzero(shared) < 2 * _SMALLEST:
-        return float("nan")
-    overlap = room_overlap(room_a[shared], room_b[nearest[shared]])
+        return float("nan"), float("nan")
+    room_a, room_b = room_a[shared], room_b[nearest[shared]]
+    overlap = room_overlap(room_a, room_b)
     similarity = jaccard(overlap)
     large = {i for i, size in enumerate(overlap.true_sizes) if size >= _SMALLEST}
     pairs = {i: similarity[i, j] for i, j in assigned(similarity)}
-    return float(np.mean([pairs.get(i, 0.0) for i in sorted(large)])) if large else float("nan")
+    of_rooms = [float(pairs.get(i, 0.0)) for i in sorted(large)]
+    true = true[maps[0].room >= 0][shared]
+    both = set(case[0].walked) & set(case[1].walked)
+    of_both = []
+    for room in sorted(both):
+        ours = true == room
+        if np.count_nonzero(ours) >= _SMALLEST:
+            a, b = np.bincount(room_a[ours]).argmax(), np.bincount(room_b[ours]).argmax()
+            common = np.count_nonzero((room_a == a) & (room_b == b))
+            either = np.count_nonzero((room_a == a) | (room_b == b))
+            of_both.append(float(common / either))
+    return _mean(of_rooms), _mean(of_both)
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
 
 
 if __name__ == "__main__":
