@@ -56,6 +56,14 @@ def test_every_stage_is_drawn_without_a_display(tmp_path: Path):
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures.iterdir())
 
 
+@pytest.mark.parametrize("stage", ["navigable", "distance"])
+def test_a_gap_of_one_voxel_shows(stage: str):
+    m = two_rooms()
+    middle = int(np.argmax(Stages(m, CONFIG).distance))
+    gap = replace(m, navigable=np.delete(m.navigable, middle, axis=0))
+    assert Stages(m, CONFIG).pictures(stage) != Stages(gap, CONFIG).pictures(stage)
+
+
 @pytest.mark.parametrize("stage", ["distance", "isovist"])
 def test_the_same_map_gives_the_same_picture(stage: str):
     assert Stages(two_rooms(), CONFIG).pictures(stage) == Stages(two_rooms(), CONFIG).pictures(

@@ -111,7 +111,7 @@ class Stages:
 
 
 def navigable_figure(m: TopometricMap) -> bytes:
-    """Draw the navigable volume over the floor plan (§4.2.4)."""
+    """Draw the navigable volume over the floor plan (§4.2.4), cell by cell: gaps are its own."""
     if not len(m.navigable):
         raise ViewError("the map holds no navigable voxels")
     sheet, area = Sheet(), 0.0
@@ -119,7 +119,9 @@ def navigable_figure(m: TopometricMap) -> bytes:
     for plan, pose, index in draw_paper(sheet, m):
         standing, _ = _columns(m, plan, m.navigable[storeys == index])
         area += standing.sum() * plan.cell**2
-        sheet.mask(standing, plan.origin, plan.cell, pose, NAVIGABLE, order=1.5)
+        image = np.zeros((*standing.shape, 4), dtype=np.uint8)
+        image[standing] = *(round(255 * value) for value in _rgb_of(NAVIGABLE)), 255
+        sheet.raster(image, plan.origin, plan.cell, pose, order=1.5)
     name = f"navigable volume, {number(area, 0, 'm²')}"
     sheet.legend([("walls", INK, "patch"), (name, NAVIGABLE, "patch")])
     return sheet.png()
