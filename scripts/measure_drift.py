@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Merge maps of agents whose odometry drifts: how often right, and how thick walls become.
 
-    measure_drift.py [BUILDING ...] [--seeds 1]
+    measure_drift.py [BUILDING ...] [--seeds 1] [--drifts none mild hard]
 
 Two agents walk each building (a file or a generator) with no, mild (0.05 degrees and 2 mm over the
 first metre) and hard drift (0.15 degrees, 5 mm), growing with the root of the way. Prints a
@@ -65,12 +65,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("buildings", nargs="*", default=BUILDINGS)
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--drifts", nargs="+", choices=tuple(DRIFTS), default=tuple(DRIFTS))
     args = parser.parse_args()
     config = load_config("default")
-    rows = {name: Row() for name in DRIFTS}
+    rows = {name: Row() for name in args.drifts}
     for building in args.buildings:
         for seed in range(1, args.seeds + 1):
-            for name in DRIFTS:
+            for name in rows:
                 _run(rows[name], building, name, seed, config)
     print(
         "| drift | right | strictly | displacement, median | gap rigid, median (most) | "

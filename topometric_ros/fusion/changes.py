@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,37 @@ class ChangesConfig:
     )
 
 
+class _Witness:
+    """A map as what it saw to be bare floor, prepared once for all others."""
+
+    def __init__(self, m: TopometricMap, depth: float) -> None:
+        self.map = m
+        self._storeys = []
+        for storey in m.storeys:
+            deep = storey.layers.bare
+            if steps := round(depth / storey.layers.cell):
+                deep = ndimage.binary_erosion(deep, np.ones((3, 3), bool), iterations=steps)
+            self._storeys.append((storey.floor_z, storey.layers, deep))
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Tree of the map's surface, level frame."""
+        return cKDTree(self.map.surface())
+
+    def saw_bare(self, points: NDArray[np.float64], deep: bool) -> NDArray[np.bool_]:
+        """Return which points (N, 3), level frame, stand in the bare floor, or deep in it."""
+        found = np.zeros(len(points), bool)
+        for floor, layers, eroded in self._storeys:
+            height = points[:, 2] - floor
+            rows = np.flatnonzero((height > _LOWEST) & (height < _HIGHEST))
+            flat = np.floor((points[rows, :2] - layers.origin) / layers.cell + 0.5)
+            cells = flat.astype(np.int64)
+            inside = np.all((cells >= 0) & (cells < eroded.shape), axis=1)
+            bare = eroded if deep else layers.bare
+            found[rows[inside]] |= bare[cells[inside, 0], cells[inside, 1]]
+        return found
+
+
 def without_outdated(
     placed: Sequence[Placed], config: ChangesConfig
 ) -> tuple[list[Placed], tuple[Change, ...]]:
@@ -58,22 +90,24 @@ def without_outdated(
     """
     result = list(placed)
     changes: list[Change] = []
+    witnesses = [(index, _Witness(m, config.depth), T) for index, m, T in placed]
     for k, (holder, m, T) in enumerate(placed):
         dropped = np.zeros(len(m.voxels), bool)
-        for witness, other, T_other in placed:
-            if witness == holder:
+        surface = m.surface()
+        for witness, other, T_other in witnesses:
+            if witness == holder or len(surface) == 0:
                 continue
             to_witness = inverse(T_other) @ T
-            rows = _contradicted(m, other, to_witness, config)
+            rows = _contradicted(m, apply(to_witness, surface), other, config)
             if len(rows) == 0:
                 continue
-            later = (m.stamp - other.stamp) / 1e9
+            later = (m.stamp - other.map.stamp) / 1e9
             ordered = abs(later) > config.visits
             gone = ordered and later < 0 and config.keep_newest
-            changes.append(Change(holder, witness, gone, ordered, apply(T, m.surface()[rows])))
+            changes.append(Change(holder, witness, gone, ordered, apply(T, surface[rows])))
             if gone:
                 dropped[rows] = True
-                m = replace(m, storeys=_cleared(m.storeys, other, to_witness, config))
+                m = replace(m, storeys=_cleared(m.storeys, other, to_witness))
         result[k] = (holder, _without(m, dropped), T)
     return _unwalkable(result, changes), tuple(changes)
 
@@ -92,21 +126,21 @@ def told(changes: Sequence[Change], names: Sequence[str]) -> list[str]:
 
 
 def _contradicted(
-    m: TopometricMap, other: TopometricMap, to_other: Transform, config: ChangesConfig
+    m: TopometricMap, points: NDArray[np.float64], other: _Witness, config: ChangesConfig
 ) -> NDArray[np.int64]:
-    """Return the rows of m's voxels that stand where the other map saw the bare floor."""
-    if len(m.voxels) == 0 or len(other.voxels) == 0:
-        return np.zeros(0, np.int64)
-    points = apply(to_other, m.surface())
-    deep = _seen_bare(other.storeys, points, config.depth)
+    """Return the rows of m's voxels that stand where the other map saw the bare floor.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, m, m's surface in the other's level frame
+    """
+    deep = other.saw_bare(points, deep=True)
     if not deep.any():
         return np.zeros(0, np.int64)
     # What stands deep in the bare floor takes along what hangs on it up to the floor's edge.
-    rows = np.flatnonzero(_seen_bare(other.storeys, points, 0.0))
-    near = cKDTree(other.surface()).query(
-        points[rows], distance_upper_bound=2.0 * max(m.voxel_size, other.voxel_size)
-    )[0]
-    rows = rows[~np.isfinite(near)]
+    rows = np.flatnonzero(other.saw_bare(points, deep=False))
+    reach = 2.0 * max(m.voxel_size, other.map.voxel_size)
+    rows = rows[~np.isfinite(other.tree.query(points[rows], distance_upper_bound=reach)[0])]
     if len(rows) == 0:
         return rows
     part = connected_components(m.voxels[rows], moore())
@@ -114,27 +148,7 @@ def _contradicted(
     return rows[large[part]]
 
 
-def _seen_bare(
-    storeys: Sequence[Storey], points: NDArray[np.float64], depth: float
-) -> NDArray[np.bool_]:
-    """Return which points (N, 3) stand deep in the bare floor of a map, level frame."""
-    found = np.zeros(len(points), bool)
-    for storey in storeys:
-        layers = storey.layers
-        bare = layers.bare
-        if steps := round(depth / layers.cell):
-            bare = ndimage.binary_erosion(bare, np.ones((3, 3), bool), iterations=steps)
-        height = points[:, 2] - storey.floor_z
-        rows = np.flatnonzero((height > _LOWEST) & (height < _HIGHEST))
-        cells = np.floor((points[rows, :2] - layers.origin) / layers.cell + 0.5).astype(np.int64)
-        inside = np.all((cells >= 0) & (cells < bare.shape), axis=1)
-        found[rows[inside]] |= bare[cells[inside, 0], cells[inside, 1]]
-    return found
-
-
-def _cleared(
-    storeys: Sequence[Storey], other: TopometricMap, to_other: Transform, config: ChangesConfig
-) -> tuple[Storey, ...]:
+def _cleared(storeys: Sequence[Storey], other: _Witness, to_other: Transform) -> tuple[Storey, ...]:
     """Return storeys whose rasters hold nothing where another map saw the bare floor."""
     result = []
     for storey in storeys:
@@ -146,7 +160,7 @@ def _cleared(
                 np.full(len(filled), storey.floor_z + 1.0),
             ]
         )
-        gone = filled[_seen_bare(other.storeys, apply(to_other, there), config.depth)]
+        gone = filled[other.saw_bare(apply(to_other, there), deep=True)]
         wall, furniture = layers.wall.copy(), layers.furniture.copy()
         wall[gone[:, 0], gone[:, 1]] = furniture[gone[:, 0], gone[:, 1]] = False
         result.append(replace(storey, layers=replace(layers, wall=wall, furniture=furniture)))

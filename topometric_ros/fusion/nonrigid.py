@@ -66,7 +66,7 @@ class NonRigidConfig:
         minimum=0.0, maximum=10.0,
     )  # fmt: skip
     gain: float = parameter(
-        0.2, "Share by which the gap between the agents' surfaces must shrink.", minimum=0.0,
+        0.05, "Share by which the gap between the agents' surfaces must shrink.", minimum=0.0,
         maximum=1.0,
     )  # fmt: skip
     registration: RegistrationConfig = field(default_factory=_registration)

@@ -1,0 +1,98 @@
+#!/usr/bin/env python3
+"""Compare the rooms of the global map: merged from the agents' rooms, or extracted anew.
+
+    compare_fusion.py PAIRS [PAIRS ...]
+
+PAIRS holds folders of pairs with truth; those that share less than a tenth are left out. Both maps
+are fused with the true transform, so that only the fusion of rooms is compared: the topological one
+of `fusion/fuse_rooms.py` (thesis §4.4.2) and the extraction of the fused surface, preset default.
+Prints a Markdown table: MIoU of the rooms walked through, rooms found, and CPU seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from topometric_ros.evaluation.case import pair_folders
+from topometric_ros.evaluation.metrics_fusion import LITTLE_OVERLAP
+from topometric_ros.evaluation.metrics_rooms import RoomScores, room_overlap, room_scores
+from topometric_ros.fusion.fuse import fuse
+from topometric_ros.fusion.poses import apply, inverse
+from topometric_ros.runtime.config import load_config
+from topometric_ros.runtime.extract_map import extract_map
+from topometric_ros.simulation.case import Case
+from topometric_ros.simulation.case_files import read_case
+from topometric_ros.topometric_map import TopometricMap
+
+REACH = 2.0
+"""A voxel has the true room of a labelled point within this many voxel edges."""
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("pairs", type=Path, nargs="+")
+    args = parser.parse_args()
+    print("| pair | merged: MIoU, rooms, CPU s | extracted anew: MIoU, rooms, CPU s | true rooms |")
+    print("|---|---|---|---:|")
+    totals: list[tuple[float, float]] = []
+    for folder in (folder for root in args.pairs for folder in pair_folders(root)):
+        case = read_case(folder)
+        if case.overlap[0] < LITTLE_OVERLAP:
+            continue
+        cells, scores, walked = _compared(case)
+        totals.append(scores)
+        print(f"| {folder.name} | {' | '.join(cells)} | {walked} |", flush=True)
+    first, second = np.mean(totals, axis=0)
+    print(f"| mean | {first:.3f} | {second:.3f} | – |")
+
+
+def _compared(case: Case) -> tuple[list[str], tuple[float, float], int]:
+    """Fuse a pair both ways; also the two scores and how many rooms were walked through."""
+    config = load_config("default")
+    matching = config.merge.matching
+    maps = [
+        extract_map(agent.points, config.extraction, matching, agent=agent.id).map
+        for agent in case.agents
+    ]
+    first = case.agents[0]
+    places = [first.T_agent_building @ inverse(agent.T_agent_building) for agent in case.agents]
+    start = time.process_time()
+    merged = fuse(maps, list(places), config.merge.fuse).map
+    between = time.process_time()
+    surface = apply(inverse(merged.T_level_input), merged.surface())
+    anew = extract_map(surface, config.extraction, matching, agent="global").map
+    seconds = (between - start, time.process_time() - between)
+    points = np.concatenate(
+        [apply(T, agent.points) for T, agent in zip(places, case.agents, strict=True)]
+    )
+    tree, rooms = cKDTree(points), np.concatenate([agent.room for agent in case.agents])
+    walked = sorted({int(room) for agent in case.agents for room in agent.rooms_walked})
+    scored = [_scores(m, tree, rooms, walked) for m in (merged, anew)]
+    cells = [
+        f"{score.miou_walked:.3f}, {len(m.rooms)}, {cost:.1f}"
+        for score, m, cost in zip(scored, (merged, anew), seconds, strict=True)
+    ]
+    return cells, (scored[0].miou_walked, scored[1].miou_walked), len(walked)
+
+
+def _scores(
+    m: TopometricMap, tree: cKDTree, rooms: NDArray[np.int32], walked: Sequence[int]
+) -> RoomScores:
+    centres = apply(inverse(m.T_level_input), m.centres())
+    distance, nearest = tree.query(centres, distance_upper_bound=REACH * m.voxel_size)
+    true = np.full(len(centres), -1, np.int32)
+    near = np.isfinite(distance)
+    true[near] = rooms[nearest[near]]
+    return room_scores(room_overlap(true, m.room), walked)
+
+
+if __name__ == "__main__":
+    main()
