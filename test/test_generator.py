@@ -156,3 +156,43 @@ def test_every_shape_can_be_made_of_every_kind_with_wings_and_storeys(kind, corr
     building = load_building(f"{kind}:corridor={corridor},wings=2,storeys=2,twins=2")
     assert is_one_piece(building)
     assert {room.storey for room in building.rooms} == {0, 1}
+
+
+def test_other_furniture_leaves_the_structure_as_it_is():
+    spec = "office:seed=6,rooms=12,twins=2"
+    one, other = (load_building(f"{spec},furnished={k}") for k in (1, 2))
+    for building in (one, other):
+        assert np.array_equal(_structure(building), _structure(load_building(spec)))
+    assert one.vertices.shape != other.vertices.shape or (one.vertices != other.vertices).any()
+
+
+def test_alike_rooms_stand_in_every_row_and_on_every_storey():
+    building = load_building("hospital:rooms=12,alike=1,cut=0,storeys=2,stacked=true")
+    areas = {
+        storey: sorted(
+            round(abs(signed_area(room.polygon)))
+            for room in building.rooms
+            if room.storey == storey
+        )
+        for storey in (0, 1)
+    }
+    assert areas[0] == areas[1]
+    # A corridor, the stairs and two rows of rooms; the ends of a row lack half a wall.
+    assert len(set(areas[0])) <= 4
+
+
+def test_a_mirrored_building_is_the_same_but_for_its_hand():
+    plain, turned = (
+        load_building(f"office:seed=4,rooms=9,mirrored={m}") for m in ("false", "true")
+    )
+    assert is_one_piece(turned)
+    assert np.allclose(plain.vertices * (-1.0, 1.0, 1.0), turned.vertices)
+    for before, after in zip(plain.rooms, turned.rooms, strict=True):
+        assert np.isclose(signed_area(before.polygon), signed_area(after.polygon))
+    inside = np.array([link.position + (0.0, 0.0, 1.0) for link in turned.links])
+    directions = np.tile([0.0, 0.0, -1.0], (len(inside), 1))
+    assert np.allclose(first_hits(turned, inside, directions), 1.0, atol=1e-5)
+
+
+def _structure(building: LabelledBuilding) -> np.ndarray:
+    return building.vertices[building.faces[building.face_tag == STRUCTURE]]

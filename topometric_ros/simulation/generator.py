@@ -29,6 +29,7 @@ from topometric_ros.simulation.generator_rooms import (
     make_twins,
 )
 from topometric_ros.simulation.generator_storey import STAIRS_WIDTH, lay_out
+from topometric_ros.simulation.generator_variants import make_alike, mirrored, refurnished
 from topometric_ros.simulation.generator_wings import wing_frame
 from topometric_ros.simulation.labelled import LabelledBuilding
 
@@ -71,6 +72,15 @@ class GeneratorConfig:
     )
     furniture: float = parameter(0.8, "Share of the furniture kept.", minimum=0.0, maximum=1.0)
     windows: bool = parameter(True, "Holes in outer walls; a lidar does not see glass.")
+    alike: float = parameter(
+        0.0, "Share of the rooms of each row that are copies of one; all of a row are then "
+        "equally wide.", minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+    stacked: bool = parameter(False, "Every storey has the rooms of the lowest.")
+    furnished: int = parameter(
+        0, "Other numbers furnish the same rooms anew, every storey its own way.", minimum=0
+    )
+    mirrored: bool = parameter(False, "The mirror image of the whole building.")
     ceiling: float = parameter(2.7, "Height of the rooms.", unit="m", minimum=2.3, maximum=6.0)
 
 
@@ -111,12 +121,15 @@ def generate(config: GeneratorConfig) -> LabelledBuilding:
     heights = BuildingConfig(ceiling=config.ceiling)
     assembly = Assembly(_name(config), heights, config.storeys)
     for storey, row in enumerate(counts):
-        rng = np.random.default_rng((config.seed, storey))
+        rng = np.random.default_rng((config.seed, 0 if config.stacked else storey))
+        furniture = np.random.default_rng((config.furnished, config.seed, storey))
         corridors = []
         for k, (layout, count) in enumerate(zip(layouts, row, strict=True)):
             stairs = config.storeys > 1 and k == 0
             designs = _designs(layout, count, stairs, config, style, rng)
             joined = _doors_between(designs, rng)
+            if config.furnished:
+                designs = refurnished(designs, style, config.furniture, furniture)
             block = lay_out(layout, designs, stairs, joined)
             block.kinds = [style.small if kind == "cut out" else kind for kind in block.kinds]
             frame = None
@@ -133,7 +146,8 @@ def generate(config: GeneratorConfig) -> LabelledBuilding:
             corridors.append(assembly.add_block(block, storey, frame, stair_strip))
             if frame is not None:
                 assembly.add_lobby(frame, storey, (corridors[0], corridors[k]))
-    return assembly.finish()
+    building = assembly.finish()
+    return mirrored(building) if config.mirrored else building
 
 
 def _name(config: GeneratorConfig) -> str:
@@ -150,7 +164,8 @@ def _rooms_of_blocks(config: GeneratorConfig, style: Style) -> list[list[int]]:
     total = config.rooms or usual * config.storeys
     counts = []
     for storey in range(config.storeys):
-        rooms = total // config.storeys + (storey < total % config.storeys)
+        more = 0 if config.stacked else storey
+        rooms = total // config.storeys + (more < total % config.storeys)
         wing = max(2, round(_WING_SHARE * rooms))
         counts.append([rooms - config.wings * wing] + config.wings * [wing])
     return counts
@@ -187,8 +202,12 @@ def _designs(
     designs = []
     for strip, length, number in zip(layout.strips, lengths, places, strict=True):
         widths = divide(round(float(length), 3), int(number), rng)
+        if config.alike > 0.0:
+            widths = [float(length) / int(number)] * int(number)
         designs.append([design_room(style, w, strip.facade, options, rng) for w in widths])
     make_twins(designs, config.twins, rng)
+    if config.alike > 0.0:
+        make_alike(designs, config.alike, rng)
     return designs
 
 

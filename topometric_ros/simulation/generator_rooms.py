@@ -100,7 +100,7 @@ def design_room(
     if facade and windows and kind != "store":
         size = round(float(rng.uniform(0.8, max(0.9, width - 1.4))), 1)
         drawn = ((round(float(width / 2 + rng.uniform(-0.2, 0.2)), 2), size),)
-    pieces = _furnish(kind, width, style.depth, 0.0 if cut is None else cut[2], rng)
+    pieces = furnish(kind, width, style.depth, 0.0 if cut is None else cut[2], rng)
     kept = tuple(piece for piece in pieces if rng.random() < furniture)
     link = "opening" if kind in ("living room", "kitchen") and rng.random() < 0.5 else "door"
     door_width = 1.1 if link == "opening" or kind == "patient room" else 0.9
@@ -150,7 +150,7 @@ def _shares(style: Style) -> list[float]:
     return [weight / total for weight in style.kinds.values()]
 
 
-def _furnish(
+def furnish(
     kind: str, width: float, depth: float, cut: float, rng: np.random.Generator
 ) -> list[Piece]:
     """Return furniture that leaves the 1.4 m next to the corridor, and the middle, to walk in."""
