@@ -76,6 +76,7 @@ class Saved:
     building: str
     noisy: bool
     T_agent_building: NDArray[np.float64]
+    folder: Path
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def main() -> None:
     buildings += [str(p) for p in sorted(args.data.glob("floorplans/*_furnitures.png"))]
     buildings += MADE if args.made else ()
     maps = [m for b in buildings for m in _corpus(b, args.out / "maps", args.seeds, config)]
-    rows = [_merged(*pair, args.out / "maps", config) for pair in _pairs(maps, args)]
+    rows = [measure_pair(*pair, config) for pair in _pairs(maps, args)]
     text = json.dumps([vars(row) for row in rows], indent=1)
     (args.out / "pairs.json").write_text(text + "\n", encoding="utf-8")
     _print(rows)
@@ -127,19 +128,25 @@ def _corpus(building: str, out: Path, seeds: int, config: ToolConfig) -> list[Sa
             simulation = with_values(SimulationConfig(), settings)
             ready = ready or cases.prepare(load_building(building), simulation)
             walk = replace(ready, config=simulation)
-            _simulate(walk, 100 * seed + number, folder, config)
+            write_maps(walk, 100 * seed + number, folder, config)
         truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         for agent, T in sorted(truth.items()):
-            saved.append(Saved(f"{folder.name}/{agent}", stem, noisy, np.array(T)))
+            saved.append(Saved(f"{folder.name}/{agent}", stem, noisy, np.array(T), out))
     return saved
 
 
-def _simulate(ready: cases.Prepared, seed: int, folder: Path, config: ToolConfig) -> None:
+def write_maps(
+    ready: cases.Prepared,
+    seed: int,
+    folder: Path,
+    config: ToolConfig,
+    walks: Sequence[cases.Walk] = (),
+) -> None:
     """Write the maps of one walk and where their frames lie; nothing where none can be made."""
     folder.mkdir(parents=True, exist_ok=True)
     truth: dict[str, Any] = {}
     try:
-        for agent in cases.simulate(ready, ready.config, seed).agents:
+        for agent in cases.simulate(ready, ready.config, seed, walks).agents:
             extraction = extract_map(
                 agent.points,
                 config.extraction,
@@ -180,11 +187,12 @@ def _pairs(maps: Sequence[Saved], args: argparse.Namespace) -> list[tuple[Saved,
 _prepared: dict[str, Prepared] = {}
 
 
-def _prepare(saved: Saved, folder: Path, config: ToolConfig) -> Prepared:
+def prepare_map(saved: Saved, config: ToolConfig) -> Prepared:
+    """Return a map of the corpus with what merging needs of it; the last ones are kept."""
     if saved.name not in _prepared:
         if len(_prepared) >= MOST_MAPS:
             _prepared.pop(next(iter(_prepared)))
-        topometric_map = replace(load_map(folder / f"{saved.name}.tmap"), agent=saved.name)
+        topometric_map = replace(load_map(saved.folder / f"{saved.name}.tmap"), agent=saved.name)
         merge = config.merge
         ready = Prepared(topometric_map, merge.search.scoring, merge.matching)
         _ = (ready.described, ready.fields, ready.surface, ready.tree)
@@ -192,16 +200,16 @@ def _prepare(saved: Saved, folder: Path, config: ToolConfig) -> Prepared:
     return _prepared[saved.name]
 
 
-def _merged(a: Saved, b: Saved, kind: str, folder: Path, config: ToolConfig) -> Row:
+def measure_pair(a: Saved, b: Saved, kind: str, config: ToolConfig) -> Row:
     """Align one pair and compare with the truth."""
-    first, second = _prepare(a, folder, config), _prepare(b, folder, config)
+    first, second = prepare_map(a, config), prepare_map(b, config)
     start = time.process_time()
     alignment = align(first, second, config.merge)
     cpu = time.process_time() - start
     overlap, error = float("nan"), None
     if a.building == b.building:
         T_true = a.T_agent_building @ inverse(b.T_agent_building)
-        overlap = _overlap(first, second, T_true)
+        overlap = shared_part(first, second, T_true)
         if alignment.accepted and alignment.T_a_b is not None:
             points = apply(inverse(second.map.T_level_input), second.map.centres())
             turn = float(np.degrees(angle(inverse(T_true) @ alignment.T_a_b)))
@@ -213,7 +221,7 @@ def _merged(a: Saved, b: Saved, kind: str, folder: Path, config: ToolConfig) -> 
     return Row(a.name, b.name, kind, overlap, noisy, status, alignment.reason, trust, error, cpu)
 
 
-def _overlap(a: Prepared, b: Prepared, T_a_b: NDArray[np.float64]) -> float:
+def shared_part(a: Prepared, b: Prepared, T_a_b: NDArray[np.float64]) -> float:
     """Return the part of the smaller map's 0.2 m voxels that both have, both in a's frame."""
     codes = []
     for ready, T in ((a, np.eye(4)), (b, T_a_b)):

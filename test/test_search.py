@@ -177,3 +177,22 @@ def test_a_room_of_which_there_are_more_is_like_another_part_of_the_map_and_a_fl
     one = prepare(map_of(building(rooms[:1])), CONFIG.scoring)
     assert likeness(row, one, np.eye(4), CONFIG.scoring) > 0.8
     assert likeness(alone, alone, np.eye(4), CONFIG.scoring) < 0.4
+
+
+@pytest.mark.parametrize(("length", "disproves"), [(0.9, False), (2.4, True)])
+def test_a_door_s_leaf_in_the_way_disproves_nothing(flat, map_a, length, disproves):
+    along = np.arange(0.0, length, 0.03)
+    x, z = np.meshgrid(6.5 + along, np.arange(0.0, 2.0, 0.03))
+    leaf = np.column_stack([x.ravel(), np.full(x.size, 3.8), z.ravel()])
+    floor = flat[~((np.abs(flat[:, 1] - 3.8) < 0.1) & (flat[:, 2] < 0.05))]
+    with_leaf = map_of(np.concatenate([floor, leaf]))
+    evidence = evaluate(map_a, with_leaf, np.eye(4), SCORING)
+    assert (evidence.wall_conflict_cells > 0) == disproves
+
+
+def test_a_corridor_slides_and_a_flat_does_not(map_a):
+    still = evaluate(map_a, map_a, np.eye(4), SCORING)
+    assert still.fixed == 1.0
+    pipe = map_of(building([((0.0, 0.0, 0.0), (12.0, 1.8, 2.6), ())]))
+    slid = evaluate(pipe, pipe, yaw_transform(0.0, (3.0, 0.0, 0.0)), SCORING)
+    assert slid.fixed < 0.5

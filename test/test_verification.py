@@ -28,6 +28,7 @@ GOOD = Evidence(
     free_share=0.4,
     agreed_wall=60.0,
     smallest_eigenvalue=20.0,
+    fixed=1.0,
     furniture_judged=0,
     furniture_conflict_cells=0,
     furniture_conflict=0.0,
@@ -102,7 +103,10 @@ def test_without_candidates_there_is_no_alignment():
         ({"storeys": 0}, "no floor of one map"),
         ({"free_floor": 5.9}, r"5.9 m² of the same free floor, at least 6 m²"),
         ({"agreed_wall": 4.0}, r"4.0 m of wall from the same side, at least 5 m"),
-        ({"smallest_eigenvalue": 1.2}, r"all run one way.* 1.2 m of wall run across"),
+        (
+            {"smallest_eigenvalue": 1.2, "fixed": 0.25},
+            r"all run one way.* 1.2 m of wall run across",
+        ),
         (
             {"wall_conflict": 0.042, "wall_conflict_cells": 34},
             r"seen-free floor of the other: 4.2% of 810 wall cells conflict, at most 1.5% allowed",
@@ -192,6 +196,16 @@ def test_a_flat_that_one_map_holds_whole_may_be_its_twin_where_furniture_differs
     assert decide([at(0.0, same)], CONFIG).status is AlignmentStatus.ACCEPTED
     beyond = good(**{**twin, "free_share": 0.6}, furniture_conflict=0.035)
     assert decide([at(0.0, beyond)], CONFIG).status is AlignmentStatus.ACCEPTED
+    floor = good(**twin, furniture_conflict=0.035, free_floor=150.0)
+    assert decide([at(0.0, floor)], CONFIG).status is AlignmentStatus.ACCEPTED
+
+
+def test_a_small_map_within_another_may_be_part_of_a_twin():
+    part = good(free_share=0.7, free_floor=30.0, furniture_judged=120)
+    decision = decide([at(0.0, part)], CONFIG)
+    assert decision.status is AlignmentStatus.AMBIGUOUS
+    assert "only 30 m²" in decision.reason
+    assert "let the smaller map grow" in decision.reason
 
 
 def test_a_small_part_that_repeats_in_the_maps_is_ambiguous():
@@ -211,9 +225,33 @@ def test_few_cells_in_conflict_do_not_disprove_a_pose():
 
 
 def test_a_corridor_does_not_fix_its_own_length():
-    corridor = good(agreed_wall=30.0, smallest_eigenvalue=2.0)
+    corridor = good(agreed_wall=30.0, smallest_eigenvalue=2.0, fixed=0.2)
     assert "at least 2.5 m are needed" in str(missed_gate(corridor, CONFIG))
     assert missed_gate(good(agreed_wall=8.0, smallest_eigenvalue=1.6), CONFIG) is None
+
+
+def test_ends_of_walls_and_doors_fix_a_corridor_that_cannot_slide():
+    held = good(agreed_wall=30.0, smallest_eigenvalue=1.2, fixed=0.7)
+    assert missed_gate(held, CONFIG) is None
+    assert missed_gate(good(agreed_wall=30.0, smallest_eigenvalue=0.8, fixed=0.9), CONFIG)
+    never = VerificationConfig(slide_cost=2.0)
+    assert "sliding along costs 70% of the score" in str(missed_gate(held, never))
+
+
+@pytest.mark.parametrize(
+    ("value", "share", "status"),
+    [
+        (300.0, 0.33, AlignmentStatus.ACCEPTED),
+        (300.0, 0.60, AlignmentStatus.AMBIGUOUS),
+        (120.0, 0.33, AlignmentStatus.AMBIGUOUS),
+        (900.0, 0.40, AlignmentStatus.ACCEPTED),
+    ],
+)
+def test_the_nearer_a_rival_the_larger_the_lead_that_is_asked_for(value, share, status):
+    best = good(value=value, score=value)
+    rival = good(value=share * value, score=share * value)
+    decision = decide([at(0.0, best), at(20.0, rival)], CONFIG)
+    assert decision.status is status, decision.reason
 
 
 def test_changed_furniture_is_forgiven_only_on_demand_and_without_a_rival():

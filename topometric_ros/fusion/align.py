@@ -16,6 +16,7 @@ from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Ro
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, with_prior
 from topometric_ros.fusion.candidates import find_candidates
+from topometric_ros.fusion.ceilings import open_above
 from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.consensus import consensus
 from topometric_ros.fusion.gates import missed_gate, objection
@@ -101,7 +102,7 @@ def _aligned(
         if prior is not None:
             judged, decision = decide_by_prior(judged, decision, prior, a, b, config)
         else:
-            decision = _unless_repeated(a, b, judged, decision, config)
+            decision = _unless_elsewhere(a, b, judged, decision, config)
     alternatives = _alternatives(a, b, decision)
     if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
         refused = _refused(a, b, decision.status, decision.reason)
@@ -112,17 +113,22 @@ def _aligned(
     return _registered(a, b, judged[decision.best], decision, config, watch)
 
 
-def _unless_repeated(
+def _unless_elsewhere(
     a: Prepared, b: Prepared, judged: list[Judged], decision: Decision, config: MergeConfig
 ) -> Decision:
-    """Doubt an accepted pose that brings together little more than a room of which there are more.
+    """Doubt an accepted pose that may be another storey, or one room of which there are more.
 
-    The search for others costs as much as that for the pose, so it is made for small parts only.
+    The search for more of a room costs as much as that for the pose, so it is made for small parts
+    only.
     """
     if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
         return decision
     candidate, evidence = judged[decision.best]
     limits = config.verification
+    contradiction = open_above(a.map, b.map, (a.fields, b.fields), candidate.T_a_b)
+    if contradiction is not None:
+        status = AlignmentStatus.REJECTED
+        return replace(decision, status=status, reason=contradiction.reason(), confidence=0.0)
     small = evidence.free_floor < limits.repeated_floor
     if not small or evidence.free_share >= limits.repeated_part:
         return decision

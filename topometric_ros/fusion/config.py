@@ -90,6 +90,6 @@ def merge_preset(name: str) -> MergeConfig:
             consensus=ConsensusConfig(joint=False),
             matching=matching_preset("thesis"),
             # It has no rivals to compare with, so the walls alone must fix the position.
-            verification=VerificationConfig(smallest_eigenvalue=2.5),
+            verification=VerificationConfig(smallest_eigenvalue=2.5, slide_cost=2.0),
         )
     raise ConfigurationError(f"unknown preset {name!r}; known: default, thesis")

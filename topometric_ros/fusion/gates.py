@@ -16,6 +16,12 @@ from topometric_ros.matching.evidence import Evidence
 _ACROSS_ENOUGH = 2.5
 """Wall that runs across (m) from which its share does not matter."""
 
+_ACROSS_AT_ALL = 1.0
+"""Wall that runs across (m) without which no slide is asked: two corridors side by side."""
+
+_PART = 0.75
+"""Of `twin_share`: the share of the smaller map's floor from which it is a part of the other."""
+
 _WALL_CLUMP, _FURNITURE_CLUMP = 2.0, 3.0
 """Neighbouring cells that err together and count as one."""
 
@@ -59,6 +65,11 @@ class VerificationConfig:
         0.2, "The same as a share of the wall along it; not asked for from 2.5 m on.", minimum=0.0,
         maximum=1.0,
     )  # fmt: skip
+    slide_cost: float = parameter(
+        0.5, "Share of the score that a slide along the walls must cost where less of them runs "
+        "across: ends of walls and doors fix a position too; above 1: never.", minimum=0.0,
+        maximum=2.0,
+    )  # fmt: skip
     wall_conflict: float = parameter(
         0.015, "Share of judged wall cells that may stand in the other's free floor, beyond doubt: "
         "the lower bound of the share counts.", minimum=0.0, maximum=1.0,
@@ -91,6 +102,14 @@ class VerificationConfig:
     twin_furniture: float = parameter(
         0.005, "Furniture in conflict from which that is held possible.", minimum=0.0, maximum=1.0
     )
+    twin_floor: float = parameter(
+        120.0, "Floor in common from which it is no flat: whole floors have no twin that is "
+        "furnished like them.", unit="m²", minimum=0.0,
+    )  # fmt: skip
+    twin_part: float = parameter(
+        35.0, "Floor in common below which a map that lies in the other for the most part may be a "
+        "part of an identical flat, whatever the furniture; 0: never.", unit="m²", minimum=0.0,
+    )  # fmt: skip
     repeated_floor: float = parameter(
         70.0, "Floor in common below which it must not look like another part of the maps: a room "
         "or two.", unit="m²", minimum=0.0,
@@ -148,11 +167,13 @@ def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
         )
     along = e.agreed_wall - e.smallest_eigenvalue
     needed = max(config.smallest_eigenvalue, min(_ACROSS_ENOUGH, config.across_share * along))
-    if e.smallest_eigenvalue < needed:
+    held = e.smallest_eigenvalue >= _ACROSS_AT_ALL and e.fixed >= config.slide_cost
+    if e.smallest_eigenvalue < needed and not held:
         return (
             "the walls in common all run one way, so the position along them is not fixed: "
             f"{e.smallest_eigenvalue:.1f} m of wall run across, "
-            f"at least {needed:.1f} m are needed"
+            f"at least {needed:.1f} m are needed; sliding along costs {max(0.0, e.fixed):.0%} of "
+            f"the score, at least {config.slide_cost:.0%} are needed"
         )
     cells = e.wall_conflict_cells / e.wall_conflict if e.wall_conflict > 0.0 else 0.0
     if _at_least(e.wall_conflict, cells / _WALL_CLUMP) > config.wall_conflict:
@@ -199,17 +220,30 @@ def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationCo
 def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
     """Whether two identical flats, furnished alike, would look the same.
 
-    Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees.
+    Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees, or
+    little more than a room was seen of it.
     """
-    return (
-        e.free_share >= config.twin_share
-        and e.furniture_conflict_cells >= _FURNITURE_CLUMP
+    differs = (
+        e.furniture_conflict_cells >= _FURNITURE_CLUMP
         and e.furniture_conflict >= config.twin_furniture
     )
+    whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor
+    return (whole and differs) or _is_part(e, config)
 
 
-def why_a_twin(e: Evidence) -> str:
+def _is_part(e: Evidence, config: VerificationConfig) -> bool:
+    """Whether the smaller map is a small part of the other."""
+    return e.free_share >= _PART * config.twin_share and e.free_floor < config.twin_part
+
+
+def why_a_twin(e: Evidence, config: VerificationConfig) -> str:
     """Return why a pose of which :func:`may_be_a_twin` holds is not accepted, in a sentence."""
+    if _is_part(e, config):
+        return (
+            f"one map holds {e.free_share:.0%} of the floor of the other, only {e.free_floor:.0f} "
+            f"m², at least {config.twin_part:g} m² are needed: a part of an identical flat would "
+            "look the same, let the smaller map grow"
+        )
     return (
         f"one map holds {e.free_share:.0%} of the floor of the other, so nothing else tells where "
         f"that lies, and {e.furniture_conflict:.1%} of the furniture stands elsewhere: "

@@ -20,6 +20,9 @@ from topometric_ros.matching.evidence import Evidence
 
 _ALTERNATIVES = 5
 
+_RULES = 33
+"""Pairs of a lead and a runner-up's share between the clear and the wide one."""
+
 _CALIBRATED = 1.85
 """Exponent of a margin in the odds of a pose that leads by it."""
 
@@ -96,7 +99,9 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
         reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
     if may_be_a_twin(first, config):
-        return decision(AlignmentStatus.AMBIGUOUS, why_a_twin(first), min(trust, _TWIN_TRUST))
+        return decision(
+            AlignmentStatus.AMBIGUOUS, why_a_twin(first, config), min(trust, _TWIN_TRUST)
+        )
     return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio, near), trust)
 
 
@@ -123,18 +128,19 @@ def doubt_repeated(
 def confidence(gap: float, ratio: float, config: VerificationConfig) -> float:
     """Return how far the best pose is ahead of the runner-up: 0..1, accepted from 0.5.
 
-    With gap = V1 − V2 and ratio = V2 / V1, m is the larger over both rules of
-    min(gap / least gap, greatest ratio / ratio). Below 1 the confidence is m / (1 + m), from 1 on
-    the odds are 2 m^1.85, as often as such poses were right (docs/benchmarks.md).
+    With gap = V1 − V2 and ratio = V2 / V1, m is the largest over the rules of
+    min(gap / least gap, greatest ratio / ratio). The rules lead from `clear_*` to `wide_*`: the
+    nearer the runner-up, the larger the lead that is asked for. Below 1 the confidence is
+    m / (1 + m), from 1 on the odds are 2 m^1.85, as often as such poses were right
+    (docs/benchmarks.md).
     """
     ratio = max(ratio, 1e-9)
-    margin = max(
-        min(gap / max(least, 1e-9), greatest / ratio)
-        for least, greatest in (
-            (config.clear_gap, config.clear_ratio),
-            (config.wide_gap, config.wide_ratio),
-        )
+    rules = zip(
+        np.geomspace(max(config.clear_gap, 1e-9), max(config.wide_gap, 1e-9), _RULES),
+        np.linspace(config.clear_ratio, config.wide_ratio, _RULES),
+        strict=True,
     )
+    margin = max(min(gap / least, greatest / ratio) for least, greatest in rules)
     return _as_confidence(2.0 * margin**_CALIBRATED if margin >= 1.0 else margin)
 
 
@@ -178,13 +184,12 @@ def _why_ambiguous(
             "let the maps share more rooms"
         )
     shift, turn = difference(candidate.T_a_b, rival.T_a_b, evidence.centre)
-    limits = f"{ratio:.0%} of it, at most {config.wide_ratio:.0%} allowed"
-    if gap < config.wide_gap:
-        limits = (
-            f"at most {config.clear_ratio:.0%} of it allowed "
-            f"while the lead of {gap:.0f} is under {config.wide_gap:g}"
-        )
+    lead = np.log(np.clip(gap, config.clear_gap, config.wide_gap) / config.clear_gap)
+    allowed = config.clear_ratio + (config.wide_ratio - config.clear_ratio) * lead / np.log(
+        config.wide_gap / config.clear_gap
+    )
     return (
         f"another pose, {shift:.1f} m and {turn:.0f}° away, fits nearly as well: "
-        f"value {second:.0f} against {evidence.value:.0f}, {limits}"
+        f"value {second:.0f} against {evidence.value:.0f}, {ratio:.0%} of it, "
+        f"at most {allowed:.0%} allowed with a lead of {gap:.0f}"
     )
