@@ -8,6 +8,10 @@ seed; each map is extracted once and kept in OUT/maps, so that a second run only
 both maps of a walk, maps of other walks in the same building, whether they share anything or not
 (where both agents stood is known), and maps of different buildings. Prints Markdown tables and
 writes every pair to OUT/pairs.json. "Right" is under 0.5 m of mean displacement and 5 degrees.
+The right pose is also looked for among those that were considered (up to five distinct ones), and
+the matches of rooms that an accepted alignment tells are compared with those of the true pose.
+`--sources rooms` or `search` takes one source of candidates alone; `--pairs FILE` (a pairs.json)
+merges the same pairs again.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.alignment import Alignment
 from topometric_ros.configuration import with_values
 from topometric_ros.errors import TopometricError
 from topometric_ros.evaluation.metrics_fusion import (
@@ -35,7 +40,8 @@ from topometric_ros.evaluation.metrics_fusion import (
     brier_score,
     upper_bound,
 )
-from topometric_ros.fusion.align import align
+from topometric_ros.fusion.align import SAME_ROOM_SHARE, align
+from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import angle, apart, apply, inverse
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.io.map_files import load_map, save_map
@@ -92,6 +98,10 @@ class Row:
     reason: str
     confidence: float
     error: tuple[float, float] | None
+    rank: int
+    """Of the right pose among those considered, from 1; 0 where it is not among them."""
+    rooms: tuple[int, int, int]
+    """Matches made, right, and how many right ones there are."""
     cpu: float
 
 
@@ -104,15 +114,22 @@ def main() -> None:
     parser.add_argument("--crossed", type=int, default=300, help="pairs of different buildings")
     parser.add_argument("--other-walks", type=int, default=10, help="further pairs of a building")
     parser.add_argument("--made", action="store_true", help="also buildings made from a seed")
+    parser.add_argument("--sources", nargs="+", default=[], help="rooms, search (default both)")
+    parser.add_argument("--pairs", type=Path, help="a pairs.json: the same pairs again")
     args = parser.parse_args()
     config = load_config("default")
+    if args.sources:
+        merge = replace(config.merge, sources=tuple(args.sources))
+        config = replace(config, merge=merge)
     buildings = [str(p) for p in sorted(args.data.glob("buildings/*.npz"))]
     buildings += [str(p) for p in sorted(args.data.glob("floorplans/*_furnitures.png"))]
     buildings += MADE if args.made else ()
     maps = [m for b in buildings for m in _corpus(b, args.out / "maps", args.seeds, config)]
-    rows = [measure_pair(*pair, config) for pair in _pairs(maps, args)]
+    pairs = _again(maps, args.pairs) if args.pairs else _pairs(maps, args)
+    rows = [measure_pair(*pair, config) for pair in pairs]
     text = json.dumps([vars(row) for row in rows], indent=1)
-    (args.out / "pairs.json").write_text(text + "\n", encoding="utf-8")
+    name = "_".join(["pairs", *args.sources]) + ".json"
+    (args.out / name).write_text(text + "\n", encoding="utf-8")
     _print(rows)
 
 
@@ -184,6 +201,13 @@ def _pairs(maps: Sequence[Saved], args: argparse.Namespace) -> list[tuple[Saved,
     return walks + chosen + crossed
 
 
+def _again(maps: Sequence[Saved], file: Path) -> list[tuple[Saved, Saved, str]]:
+    """Return the pairs that an earlier run wrote."""
+    by_name = {saved.name: saved for saved in maps}
+    rows = json.loads(file.read_text(encoding="utf-8"))
+    return [(by_name[row["a"]], by_name[row["b"]], row["kind"]) for row in rows]
+
+
 _prepared: dict[str, Prepared] = {}
 
 
@@ -192,12 +216,16 @@ def prepare_map(saved: Saved, config: ToolConfig) -> Prepared:
     if saved.name not in _prepared:
         if len(_prepared) >= MOST_MAPS:
             _prepared.pop(next(iter(_prepared)))
-        topometric_map = replace(load_map(saved.folder / f"{saved.name}.tmap"), agent=saved.name)
-        merge = config.merge
-        ready = Prepared(topometric_map, merge.search.scoring, merge.matching)
+        ready = load_prepared(saved, config)
         _ = (ready.described, ready.fields, ready.surface, ready.tree)
         _prepared[saved.name] = ready
     return _prepared[saved.name]
+
+
+def load_prepared(saved: Saved, config: ToolConfig) -> Prepared:
+    """Return a map of the corpus; what merging needs of it is made where it is asked for."""
+    topometric_map = replace(load_map(saved.folder / f"{saved.name}.tmap"), agent=saved.name)
+    return Prepared(topometric_map, config.merge.search.scoring, config.merge.matching)
 
 
 def measure_pair(a: Saved, b: Saved, kind: str, config: ToolConfig) -> Row:
@@ -206,19 +234,46 @@ def measure_pair(a: Saved, b: Saved, kind: str, config: ToolConfig) -> Row:
     start = time.process_time()
     alignment = align(first, second, config.merge)
     cpu = time.process_time() - start
-    overlap, error = float("nan"), None
+    overlap, error, rank, rooms = float("nan"), None, 0, (0, 0, 0)
     if a.building == b.building:
         T_true = a.T_agent_building @ inverse(b.T_agent_building)
         overlap = shared_part(first, second, T_true)
+        points = apply(inverse(second.map.T_level_input), second.map.centres())
+        poses = [alternative.T_a_b for alternative in alignment.alternatives]
         if alignment.accepted and alignment.T_a_b is not None:
-            points = apply(inverse(second.map.T_level_input), second.map.centres())
-            turn = float(np.degrees(angle(inverse(T_true) @ alignment.T_a_b)))
-            error = (apart(alignment.T_a_b, T_true, points), turn)
+            poses = [alignment.T_a_b, *poses]
+        errors = [_error(T, T_true, points) for T in poses]
+        error = errors[0] if alignment.accepted else None
+        rank = next((k for k, e in enumerate(errors, 1) if _near(e, RIGHT)), 0)
+        rooms = _matched_rooms(first, second, alignment, T_true)
     elif alignment.accepted:
         error = (float("inf"), 180.0)
-    status, trust = alignment.status.value, alignment.confidence
+    status, reason, trust = alignment.status.value, alignment.reason, alignment.confidence
     noisy = a.noisy or b.noisy
-    return Row(a.name, b.name, kind, overlap, noisy, status, alignment.reason, trust, error, cpu)
+    return Row(
+        a.name, b.name, kind, overlap, noisy, status, reason, trust, error, rank, rooms, cpu
+    )  # fmt: skip
+
+
+def _error(
+    T: NDArray[np.float64], T_true: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Return the mean displacement (m) of b's points and the angle (degrees)."""
+    return apart(T, T_true, points), float(np.degrees(angle(inverse(T_true) @ T)))
+
+
+def _matched_rooms(
+    a: Prepared, b: Prepared, alignment: Alignment, T_true: NDArray[np.float64]
+) -> tuple[int, int, int]:
+    """Return the matches told, the right ones among them and all that the true pose gives."""
+    T = a.map.T_level_input @ T_true @ inverse(b.map.T_level_input)
+    rows_a, rows_b, _ = shared_voxels(a.map, b.map, T)
+    true = {
+        (a.map.rooms[i].id, b.map.rooms[j].id)
+        for i, j in same_rooms(a.map, b.map, rows_a, rows_b, SAME_ROOM_SHARE)
+    }
+    made = {(m.room_a, m.room_b) for m in alignment.matches if alignment.accepted}
+    return len(made), len(made & true), len(true)
 
 
 def shared_part(a: Prepared, b: Prepared, T_a_b: NDArray[np.float64]) -> float:
@@ -233,8 +288,9 @@ def shared_part(a: Prepared, b: Prepared, T_a_b: NDArray[np.float64]) -> float:
 
 
 def _print(rows: Sequence[Row]) -> None:
-    print("| pairs | N | right | strictly right | ambiguous | wrong |")
-    print("|---|---:|---:|---:|---:|---:|")
+    print("| pairs | N | right | strictly right | ambiguous | wrong | ", end="")
+    print("right pose first | among three | room matches F1 |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|---:|")
     for noisy in (False, True):
         for low, high in BANDS:
             some = [r for r in rows if r.noisy == noisy and low <= r.overlap < high]
@@ -267,12 +323,21 @@ def _line(name: str, rows: Sequence[Row]) -> None:
     unsure = sum(r.status == "ambiguous" for r in rows)
     bound = f"{wrong} (below {upper_bound(wrong, n):.1%})"
     shared = all(r.overlap >= LITTLE_OVERLAP for r in rows)
-    found = f"{right / n:.0%} | {strict / n:.0%}" if shared else "– | –"
-    print(f"| {name} | {n} | {found} | {unsure} | {bound} |", flush=True)
+    found, ranks = "– | –", "– | – | –"
+    if shared:
+        found = f"{right / n:.0%} | {strict / n:.0%}"
+        made, good, all_right = (sum(r.rooms[k] for r in rows) for k in range(3))
+        first, three = (sum(1 <= r.rank <= most for r in rows) / n for most in (1, 3))
+        ranks = f"{first:.0%} | {three:.0%} | {2 * good / max(1, made + all_right):.2f}"
+    print(f"| {name} | {n} | {found} | {unsure} | {bound} | {ranks} |", flush=True)
 
 
 def _within(row: Row, limits: tuple[float, float]) -> bool:
-    return row.error is not None and row.error[0] < limits[0] and row.error[1] < limits[1]
+    return row.error is not None and _near(row.error, limits)
+
+
+def _near(error: tuple[float, float], limits: tuple[float, float]) -> bool:
+    return error[0] < limits[0] and error[1] < limits[1]
 
 
 if __name__ == "__main__":

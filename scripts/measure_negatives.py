@@ -88,7 +88,7 @@ def main() -> None:
     config = load_config("default")
     folder = args.out / "maps"
     made = [place for places in _all_places(folder, config) for place in places]
-    real = [Place(saved, "") for corpus in args.corpus for saved in _of_corpus(corpus)]
+    real = [Place(saved, "") for walks in args.corpus for saved in corpus(walks)]
     pairs = [*_made_pairs(made), *_real_pairs(real, config), *_crossed(made + real, args.others)]
     rows = []
     for kind, a, b in pairs:
@@ -153,7 +153,7 @@ def _storeys(building: LabelledBuilding) -> dict[str, tuple[int, ...]]:
     }
 
 
-def _of_corpus(folder: Path) -> list[Saved]:
+def corpus(folder: Path) -> list[Saved]:
     """Return the maps that `measure_merging.py` wrote."""
     saved = []
     for path in sorted(folder.glob("*/truth.json")):

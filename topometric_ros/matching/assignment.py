@@ -17,17 +17,25 @@ def cost_matrix(
     return cdist(features_a, features_b)
 
 
-def assign(cost: NDArray[np.float64]) -> list[tuple[int, int, float]]:
+def assign(cost: NDArray[np.float64], alone: float = np.inf) -> list[tuple[int, int, float]]:
     """Return the one-to-one pairs of least total cost, by rising cost (eq. 52).
 
     As many pairs as the smaller side has rooms (Jonker & Volgenant 1987, rectangular form by
-    Crouse 2016).
+    Crouse 2016), or fewer: two rooms that cost `alone` or more are left without a partner, which
+    costs that much.
 
     Examples
     --------
     >>> assign(np.array([[3.0, 1.0, 2.0], [1.0, 5.0, 4.0]]))
     [(0, 1, 1.0), (1, 0, 1.0)]
+    >>> assign(np.array([[0.1, 3.0], [2.0, 9.0]]), alone=4.0)
+    [(0, 0, 0.1)]
     """
-    rows, columns = linear_sum_assignment(cost)
-    pairs = [(int(i), int(j), float(cost[i, j])) for i, j in zip(rows, columns, strict=True)]
+    # To leave a pair costs nothing here, so to make it must gain.
+    rows, columns = linear_sum_assignment(np.minimum(cost, alone))
+    pairs = [
+        (int(i), int(j), float(cost[i, j]))
+        for i, j in zip(rows, columns, strict=True)
+        if cost[i, j] < alone
+    ]
     return sorted(pairs, key=lambda pair: (pair[2], pair[0], pair[1]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,8 +35,8 @@ def embed_pair(
     blocks = []
     for name, by_ratio in names:
         values = [entry.values for m in (a, b) if (entry := m.descriptor(name)) is not None]
-        blocks.append(_standardised(np.concatenate(values).astype(np.float64), by_ratio))
-    both = np.concatenate(blocks, axis=1) / np.sqrt(len(blocks))
+        blocks.append((_by_size(values[0], by_ratio), _by_size(values[1], by_ratio)))
+    both = np.concatenate(embed(blocks))
     return (
         contextual(both[: len(a.rooms)], room_graph(a), config.context),
         contextual(both[len(a.rooms) :], room_graph(b), config.context),
@@ -61,13 +63,28 @@ def contextual(features: Features, graph: RoomGraph, config: ContextConfig) -> F
     return features
 
 
-def _standardised(values: Features, by_ratio: bool) -> Features:
-    """Return columns with mean 0 and deviation 1 over √D; constant columns become 0.
+def embed(
+    blocks: Sequence[tuple[Features, Features]], scales: Sequence[Features] | None = None
+) -> tuple[Features, Features]:
+    """Put the descriptors of two maps' rooms beside each other, each with the same weight.
 
-    Of sizes the logarithm comes first: a hall differs from an office by a factor, not by an amount.
+    Parameters
+    ----------
+    blocks : of each descriptor the numbers, of sizes their logarithms: (R_a, D) and (R_b, D)
+    scales : of each descriptor (D,) what its numbers are divided by; None: their deviation over the
+        rooms of both maps
     """
-    if by_ratio:
-        values = np.log1p(np.maximum(values, 0.0))
-    deviation = values.std(axis=0)
-    scale = np.where(deviation > 1e-9, deviation, np.inf)
-    return (values - values.mean(axis=0)) / scale / np.sqrt(max(1, values.shape[1]))
+    features = []
+    for k, (of_a, of_b) in enumerate(blocks):
+        values = np.concatenate([of_a, of_b])
+        deviation = values.std(axis=0) if scales is None else scales[k]
+        scale = np.where(deviation > 1e-9, deviation, np.inf)
+        features.append((values - values.mean(axis=0)) / scale / np.sqrt(max(1, values.shape[1])))
+    both = np.concatenate(features, axis=1) / np.sqrt(len(blocks))
+    return both[: len(blocks[0][0])], both[len(blocks[0][0]) :]
+
+
+def _by_size(values: NDArray[np.float32], by_ratio: bool) -> Features:
+    """Take logarithms of sizes: a hall differs from an office by a factor, not by an amount."""
+    numbers = values.astype(np.float64)
+    return np.log1p(np.maximum(numbers, 0.0)) if by_ratio else numbers
