@@ -16,12 +16,13 @@ stamps := $(VENV)/stamps
 interface_files = $(wildcard $(1)/*.* $(1)/msg/*.msg $(1)/srv/*.srv) \
   wheels/build-tools.txt scripts/install_interfaces.sh scripts/wheel_targets.cmake
 
-.PHONY: help setup demo test check run-bag bench benchmark benchmark-full clean distclean
+.PHONY: help setup demo test soak check run-bag bench benchmark benchmark-full clean distclean
 .DELETE_ON_ERROR:
 
 help:
 	@echo 'make demo       set up, replay the bundled bag of two agents, say where the report is'
 	@echo 'make test       set up, run the tests'
+	@echo 'make soak       the long forms of the fault tests: fuzz, ten agents under fire [MINUTES=30]'
 	@echo 'make check      set up, check format, lint, types, the colcon build and the README'
 	@echo 'make run-bag    replay your own bag: make run-bag BAG=path/to/bag [OUT=out/name]'
 	@echo 'make bench      CPU seconds by stage: make bench [CLOUD=path/to/cloud.ply]'
@@ -46,7 +47,7 @@ $(stamps)/tf2_msgs: $(call interface_files,wheels/tf2_msgs) | $(stamps)/wheels
 	@scripts/install_interfaces.sh $(VENV) wheels/tf2_msgs
 	@touch $@
 
-$(stamps)/share: $(stamps)/wheels package.xml $(wildcard config/* launch/* rviz/* executables/*)
+$(stamps)/share: $(stamps)/wheels package.xml $(wildcard config/* launch/* rviz/* security/* executables/*)
 	@scripts/install_share.sh $(VENV)
 	@touch $@
 
@@ -55,6 +56,12 @@ demo: setup
 
 test: setup
 	$(VENV)/bin/python -m pytest
+
+MINUTES ?= 30
+soak: setup
+	TOPOMETRIC_FUZZ_CASES=10000 $(VENV)/bin/python -m pytest test/test_fuzz.py
+	TOPOMETRIC_PARTITION_S=600 $(VENV)/bin/python -m pytest test/test_bad_radio.py
+	$(VENV)/bin/python scripts/soak.py out/soak --minutes $(MINUTES)
 
 check: setup
 	$(VENV)/bin/ruff format --check .

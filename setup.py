@@ -43,6 +43,7 @@ setup(
         (f"share/{NAME}/config/suites", files("config/suites/*")),
         (f"share/{NAME}/launch", files("launch/*.py")),
         (f"share/{NAME}/rviz", files("rviz/*.rviz")),
+        (f"share/{NAME}/security", files("security/*.xml")),
         (f"lib/{NAME}", files("executables/*")),
     ],
     install_requires=[

@@ -24,9 +24,12 @@ def start(tmp_path: Path) -> Iterator[Any]:
     """Start node processes; whatever is still there at the end of the test is killed."""
     processes: list[NodeProcess] = []
 
-    def begin(module: str, *arguments: str, first: tuple[str, ...] = ()) -> NodeProcess:
+    def begin(
+        module: str, *arguments: str, first: tuple[str, ...] = (), namespace: str = ""
+    ) -> NodeProcess:
         log = tmp_path / f"{len(processes)}_{module.rsplit('.', 1)[-1]}.log"
-        processes.append(NodeProcess(module, [*first, "--ros-args", *arguments], log))
+        started = NodeProcess(module, [*first, "--ros-args", *arguments], log, namespace)
+        processes.append(started)
         return processes[-1]
 
     yield begin

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,12 +50,15 @@ def environment() -> dict[str, str]:
 class NodeProcess:
     """One node of this package as a process of its own, its output in a file."""
 
-    def __init__(self, module: str, arguments: list[str], log: Path) -> None:
+    def __init__(self, module: str, arguments: list[str], log: Path, namespace: str = "") -> None:
+        """Start it, in a network namespace where one is named; there it talks to all it reaches."""
         self.log_path = log
-        self._log = log.open("w")
+        self._log = log.open("a")
+        within = ["ip", "netns", "exec", namespace] if namespace else []
+        reach = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"} if namespace else {}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            env=environment(),
+            [*within, sys.executable, "-m", module, *arguments],
+            env={**environment(), **reach},
             stdout=self._log,
             stderr=subprocess.STDOUT,
         )
@@ -75,6 +78,10 @@ class NodeProcess:
         """What the process has said so far."""
         return self.log_path.read_text()
 
+    def send(self, number: int) -> None:
+        """Send a signal to the process."""
+        self._process.send_signal(number)
+
     def stop(self, number: int = signal.SIGTERM, limit_s: float = 20.0) -> int:
         """Send a signal and return the exit status; a process that stays is killed."""
         if self.alive:
@@ -86,7 +93,8 @@ class NodeProcess:
         try:
             return self._process.wait(limit_s)
         except subprocess.TimeoutExpired:
-            self._process.kill()
+            # The fault handler then writes where every thread stands.
+            self._process.send_signal(signal.SIGABRT)
             self._process.wait()
             raise AssertionError(f"still running after {limit_s} s:\n{self.log}") from None
         finally:
@@ -176,7 +184,7 @@ def wait_for(
     condition: Callable[[], Any],
     limit_s: float,
     what: str,
-    processes: tuple[NodeProcess, ...] = (),
+    processes: Sequence[NodeProcess] = (),
 ) -> Any:
     """Return the first true value of `condition`; fail with the processes' logs after `limit_s`."""
     end = time.monotonic() + limit_s

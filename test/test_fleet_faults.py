@@ -6,6 +6,7 @@ import resource
 import signal
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -207,6 +208,33 @@ def test_managed_nodes_listen_only_while_they_are_active(own: Graph, start: Any)
     assert [process.stop(signal.SIGTERM) for process in (extractor, merger)] == [0, 0]
 
 
+def allowed(enclave: str, verb: str, agent: str) -> set[str]:
+    """Return the full names that the SROS 2 policies allow a node, with its agent's name."""
+    tree = ElementTree.parse(helpers_ros.ROOT / "security" / "policies.xml")
+    (profile,) = tree.iterfind(f".//enclave[@path='{enclave}']/profiles/profile")
+    namespace = (profile.get("ns") or "").rstrip("/")
+    kind, wanted = verb.split()
+    names = set()
+    for element in profile.iterfind(f"{kind}[@{wanted}='ALLOW']/*"):
+        name = (element.text or "").replace("~", f"{namespace}/{profile.get('node')}")
+        names.add(name if name.startswith("/") else f"{namespace}/{name}")
+    return {name.replace("robot1", agent).replace("cloud_map", "cloud") for name in names}
+
+
+def assert_nothing_more_than_the_policies_allow(own: Graph, agent: str) -> None:
+    graph = own.node
+    for node, namespace, enclave in (
+        ("extractor", f"/{agent}", "/robot1/extractor"),
+        ("merger", "/", "/merger"),
+    ):
+        for verb, opened in (
+            ("topics publish", graph.get_publisher_names_and_types_by_node(node, namespace)),
+            ("topics subscribe", graph.get_subscriber_names_and_types_by_node(node, namespace)),
+            ("services reply", graph.get_service_names_and_types_by_node(node, namespace)),
+        ):
+            assert {name for name, _ in opened} <= allowed(enclave, verb, agent), (node, verb)
+
+
 def test_a_clock_that_jumps_stops_neither_maps_nor_transforms(own: Graph, start: Any) -> None:
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import PointCloud2
@@ -224,6 +252,7 @@ def test_a_clock_that_jumps_stops_neither_maps_nor_transforms(own: Graph, start:
     transforms = own.subscribe(TFMessage, "/tf", qos.TRANSFORMS)
     for publisher in (clock, clouds):
         wait_for(publisher.get_subscription_count, WORK_S, "reader", (extractor, merger))
+    assert_nothing_more_than_the_policies_allow(own, "c")
     now = [1000.0]
 
     def tick() -> None:

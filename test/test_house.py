@@ -166,7 +166,7 @@ def test_the_installed_package_ships_the_interfaces_and_what_ros_looks_for(tmp_p
     }
     share = prefix / "share"
     assert (share / "ament_index/resource_index/packages/topometric_ros").is_file()
-    for name in ("config", "config/suites", "launch", "rviz"):
+    for name in ("config", "config/suites", "launch", "rviz", "security"):
         folder = share / "topometric_ros" / name
         shipped_names = {p.name for p in folder.iterdir() if p.is_file()}
         assert shipped_names == {p.name for p in (ROOT / name).iterdir() if p.is_file()}

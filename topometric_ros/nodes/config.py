@@ -115,7 +115,7 @@ class MergerNodeConfig:
         "latched on `alignments`: one that joins late need not find them all again.",
     )
     max_voxels: int = parameter(
-        16_777_216,
+        8_388_608,
         "Maps with more voxels, or raster cells in all their storeys, are refused unopened.",
         minimum=1000,
         maximum=67_108_864,
