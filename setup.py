@@ -32,6 +32,7 @@ setup(
     package_dir={f"{NAME}.schemas": "msg_schemas/topometric_msgs"},
     package_data={
         NAME: ["py.typed"],
+        f"{NAME}.fusion": ["*.onnx"],
         f"{NAME}.matching.descriptors": ["*.onnx"],
         f"{NAME}.schemas": ["msg/*.msg", "srv/*.srv"],
         f"{NAME}.visualization": ["*.html", "*.js", "*.css"],

@@ -1,4 +1,4 @@
-"""The trained network: what it was trained for holds on rooms that they have not seen."""
+"""The trained networks: what they were trained for holds on rooms that they have not seen."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from test.helpers import yaw_transform
-from test.helpers_matching import A_ROOMS, T_BUILDING_A, agent_map
+from test.helpers_matching import A_ROOMS, T_A_B, T_BUILDING_A, T_BUILDING_B, agent_map, error_of
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.fusion.deep_closest_point import deep_closest_point, network_poses
+from topometric_ros.fusion.registration_config import RegistrationConfig
+from topometric_ros.fusion.surface import surface_of
 from topometric_ros.matching import onnx_network as networks
 from topometric_ros.matching.assignment import cost_matrix
 from topometric_ros.matching.config import DescriptorConfig, MatchingConfig
@@ -88,6 +91,22 @@ def test_the_direction_of_a_room_is_that_of_its_walls(held_rooms, yaw: float):
     for views in held_rooms.views:
         off = (wall_direction(voxels(views[0], yaw)) - yaw) % (np.pi / 2)
         assert min(off, np.pi / 2 - off) < np.radians(4.0)
+
+
+@needs_onnxruntime
+def test_deep_closest_point_reaches_farther_than_the_gates_of_icp():
+    a = surface_of(agent_map("a", (2,), T_BUILDING_A))
+    b = surface_of(agent_map("b", (2,), T_BUILDING_B))
+    turn = yaw_transform(np.radians(20.0), (0.5, -0.4, 0.1))
+    middle = np.eye(4)
+    middle[:3, 3] = b.points.mean(axis=0)
+    wrong = T_A_B @ middle @ turn @ np.linalg.inv(middle)
+    config = RegistrationConfig()
+    coarse = network_poses(b, a, wrong, config)[-1]
+    assert error_of(coarse, T_A_B, b.points)[0] < 0.4 * error_of(wrong, T_A_B, b.points)[0]
+    np.testing.assert_allclose(coarse[2, :3], [0, 0, 1], atol=1e-12)
+    found = deep_closest_point(b, a, wrong, config)
+    assert error_of(found.T_target_source, T_A_B, b.points)[0] < 0.05
 
 
 def test_without_onnxruntime_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch):

@@ -1,4 +1,4 @@
-"""Partial views of rooms to train on: the data recipe (thesis §4.3.4).
+"""Partial views of rooms to train on: the data recipe of both networks (thesis §4.3.4).
 
 A view is what one to three visibilities see of one room: rays in all directions from places where
 an agent can stand, in the room or just outside it, voxelised at 0.1 m as maps are. The complete

@@ -5,14 +5,18 @@
     icp           the same about all axes, where the tilt is to be estimated
     gicp          generalised ICP about all axes (extra `gicp`)
     fpfh_ransac   features and a RANSAC under gravity, from no first pose; then gravity_icp
+    deep_closest_point
+                  counterparts from a network, SVD about the vertical (extra `learned`); then
+                  gravity_icp
 
-A further way, learned ones too, is a :class:`Registrar` in a file of its own and a line here.
+A further way is a :class:`Registrar` in a file of its own and a line here.
 """
 
 from __future__ import annotations
 
 from scipy.spatial import cKDTree
 
+from topometric_ros.fusion.deep_closest_point import deep_closest_point
 from topometric_ros.fusion.fpfh_ransac import fpfh_ransac
 from topometric_ros.fusion.gicp import gicp
 from topometric_ros.fusion.icp import axis_icp, full_icp, gravity_icp
@@ -36,9 +40,9 @@ __all__ = [
     "register",
 ]
 
-REGISTRARS: dict[str, Registrar] = dict(
-    zip(METHODS, (gravity_icp, axis_icp, full_icp, gicp, fpfh_ransac), strict=True)
-)
+_WAYS = (gravity_icp, axis_icp, full_icp, gicp, fpfh_ransac, deep_closest_point)
+
+REGISTRARS: dict[str, Registrar] = dict(zip(METHODS, _WAYS, strict=True))
 
 
 def register(

@@ -18,7 +18,7 @@ from topometric_ros.errors import ConfigurationError, TopometricError
 from topometric_ros.fusion.poses import Transform
 from topometric_ros.fusion.surface import Surface
 
-METHODS = ("gravity_icp", "axis_icp", "icp", "gicp", "fpfh_ransac")
+METHODS = ("gravity_icp", "axis_icp", "icp", "gicp", "fpfh_ransac", "deep_closest_point")
 """Names of the ways to register; see :mod:`topometric_ros.fusion.registration`."""
 
 
@@ -34,7 +34,8 @@ class RegistrationConfig:
         "gravity_icp",
         "gravity_icp: point-to-plane ICP, yaw and translation; axis_icp: the same about `axis`; "
         "icp: about all axes, where tilt is to be estimated; gicp: generalised ICP about all axes "
-        "(extra `gicp`); fpfh_ransac: features and RANSAC without a first pose, then gravity_icp.",
+        "(extra `gicp`); fpfh_ransac: features and RANSAC without a first pose, then gravity_icp; "
+        "deep_closest_point: counterparts from a network (extra `learned`), then gravity_icp.",
         choices=METHODS,
     )
     axis: tuple[str, ...] = parameter(
