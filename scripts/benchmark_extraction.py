@@ -5,7 +5,8 @@
 
 SOURCE is a cloud or BAG:topic; the default is the bundled bag's first agent. Each preset runs twice
 as a process of its own, as users run it, and the second run counts: the first compiles the hot
-loops. Seconds of CPU, not of wall clock, because machines are shared.
+loops. With --loaded a cloud file is extracted in this process, so that importing and loading do not
+count. Seconds of CPU, not of wall clock, because machines are shared.
 """
 
 from __future__ import annotations
@@ -19,6 +20,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from topometric_ros.io.clouds import read_cloud
+from topometric_ros.runtime.config import preset_config, with_voxel_size
+from topometric_ros.runtime.extract_map import extract_map
+
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = f"{ROOT / 'bags/demo'}:/robot1/scan_cloud"
 
@@ -28,11 +33,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("source", nargs="?", default=SOURCE)
     parser.add_argument("--voxel-size", type=float, default=0.1)
+    parser.add_argument(
+        "--loaded",
+        action="store_true",
+        help="extract a cloud file three times in this process instead",
+    )
     parser.add_argument("--presets", nargs="+", default=["default", "thesis"])
     args = parser.parse_args()
     runs = {}
     for preset in args.presets:
-        run = _extract(args.source, preset, args.voxel_size)
+        run = (_again if args.loaded else _extract)(args.source, preset, args.voxel_size)
         if run is None:
             return 2
         runs[preset] = run
@@ -62,6 +72,15 @@ def _extract(source: str, preset: str, voxel_size: float) -> dict[str, Any] | No
         timings = json.loads((Path(out) / "timings.json").read_text(encoding="utf-8"))
         summary = json.loads((Path(out) / "map.json").read_text(encoding="utf-8"))
         return {"timings": timings, "cpu": cpu, "rooms": len(summary["rooms"])}
+
+
+def _again(source: str, preset: str, voxel_size: float) -> dict[str, Any]:
+    """Extract a cloud three times; return the least that each stage took once all was loaded."""
+    config = with_voxel_size(preset_config(preset), voxel_size)
+    points = read_cloud(Path(source)).points
+    runs = [extract_map(points, config.extraction, config.merge.matching) for _ in range(3)]
+    timings = {name: min(run.timings[name] for run in runs[1:]) for name in runs[0].timings}
+    return {"timings": timings, "cpu": None, "rooms": len(runs[0].map.rooms)}
 
 
 def _row(name: str, values: list[float | None]) -> None:

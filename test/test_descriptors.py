@@ -184,8 +184,9 @@ def test_describing_twice_gives_the_same_bytes_and_is_not_repeated() -> None:
     for one, two in zip(once.descriptors, twice.descriptors, strict=True):
         assert one.values.tobytes() == two.values.tobytes()
     assert described(once, config) is once
-    other = dataclasses.replace(config, descriptors=DescriptorConfig(eigenvalues=8))
-    assert described(once, other).descriptors[1].values.shape == (2, 8)
+    other = DescriptorConfig(names=("engineered", "spectral"), eigenvalues=8)
+    again = described(once, dataclasses.replace(config, descriptors=other))
+    assert again.descriptors[1].values.shape == (2, 8)
 
 
 def test_merged_context_describes_the_room_with_its_neighbours() -> None:

@@ -13,34 +13,24 @@ from numpy.typing import NDArray
 from topometric_ros.extraction import default_rooms, thesis_rooms
 from topometric_ros.extraction.assemble import assemble_rooms, majority, storeys_of_rooms
 from topometric_ros.extraction.assess import assess
-from topometric_ros.extraction.columns import Columns, sort_columns
+from topometric_ros.extraction.columns import sort_columns
 from topometric_ros.extraction.config import ExtractionConfig
-from topometric_ros.extraction.errors import ExtractionError
-from topometric_ros.extraction.extent import anchor, moved_finding, without_islands, without_strays
 from topometric_ros.extraction.floor_gaps import close_gaps
 from topometric_ros.extraction.layers import refine_floor, storey_layers
-from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
 from topometric_ros.extraction.mapped_rooms import MappedRooms
 from topometric_ros.extraction.navigation import navigable_volume, on_storeys, unobstructed
 from topometric_ros.extraction.passages import passages_of
-from topometric_ros.extraction.quality import Finding, Quality
+from topometric_ros.extraction.quality import Quality
 from topometric_ros.extraction.room_kinds import RoomClassifier, load_classifier
+from topometric_ros.extraction.scene import Scene, make_scene
 from topometric_ros.extraction.stairs import flights
-from topometric_ros.extraction.storeys import (
-    RASTER,
-    StoreyHeights,
-    assign_storeys,
-    find_storeys,
-)
+from topometric_ros.extraction.storeys import RASTER
 from topometric_ros.extraction.viewpoints import viewpoints
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import Storey, TopometricMap
-from topometric_ros.voxels.grid import VoxelGrid, in_morton_order, surface_offsets, thin, voxelise
+from topometric_ros.voxels.grid import in_morton_order, surface_offsets
 
 logger = logging.getLogger(__name__)
-
-_FINEST_LAYERS = 0.05
-"""The rasters of storeys are made of points thinned to at most this cell (m)."""
 
 
 @dataclass(frozen=True)
@@ -53,35 +43,6 @@ class Extraction:
     map: TopometricMap
     timings: dict[str, float]
     quality: Quality
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """A levelled cloud in voxels, and its storeys.
-
-    `cell_of_point` is the map voxel of each thinned point, `raster_of_point` its 0.1 m voxel; both
-    are the same where the map's voxels have that size. `heights` and `storey_of_raster` belong to
-    the 0.1 m voxels.
-    """
-
-    points: NDArray[np.float64]
-    T_level_input: NDArray[np.float64]
-    tilt: float
-    findings: tuple[Finding, ...]
-    grid: VoxelGrid
-    cell_of_point: NDArray[np.int64]
-    raster: VoxelGrid
-    raster_of_point: NDArray[np.int64]
-    columns: Columns
-    heights: NDArray[np.float64]
-    storeys: tuple[StoreyHeights, ...]
-    storey_of_raster: NDArray[np.int32]
-
-    def per_voxel(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Carry labels (R,) of the 0.1 m voxels over to the map's voxels: (N,) int32."""
-        if self.cell_of_point is self.raster_of_point:
-            return labels
-        return majority(self.cell_of_point, labels[self.raster_of_point])
 
 
 def extract(
@@ -97,6 +58,7 @@ def extract(
     T_level_input: NDArray[np.float64] | None = None,
     way: NDArray[np.float64] | None = None,
     classifier: RoomClassifier | None = None,
+    thinned: bool = False,
 ) -> Extraction:
     """Extract a topometric map from a cloud.
 
@@ -111,6 +73,7 @@ def extract(
     way : (K, 3) float64, m, input frame, where the sensor was, in order; not known by default
     classifier : tells kinds of rooms and joins cuts of corridors; by default the one that
         `kinds.classifier` names
+    thinned : whether there is but one point a cell of 5 cm, or half a voxel, as of gathered scans
 
     Returns
     -------
@@ -124,7 +87,7 @@ def extract(
     """
     watch = Stopwatch()
     classifier = load_classifier(config.kinds.classifier) if classifier is None else classifier
-    scene = _scene(points, config, origin, T_level_input, watch)
+    scene = make_scene(points, config, origin, T_level_input, watch, thinned)
     grid = scene.grid
     with watch.stage("navigation"):
         navigable = _navigable(scene, config, way)
@@ -165,96 +128,8 @@ def extract(
     return Extraction(result, watch.seconds, quality)
 
 
-def _scene(
-    points: NDArray[np.float64],
-    config: ExtractionConfig,
-    origin: tuple[float, float, float] | None,
-    T_level_input: NDArray[np.float64] | None,
-    watch: Stopwatch,
-) -> _Scene:
-    """Thin and level a cloud, find its storeys and put it into voxels."""
-    if len(points) == 0:
-        raise ExtractionError("no points to extract a map from")
-    with watch.stage("thin"):
-        points, strays = without_strays(np.asarray(points, np.float64))
-        middle = _middle(points, T_level_input)
-        points = points - middle if middle.any() else points
-        points = thin(points, min(config.voxel_size / 2, _FINEST_LAYERS))
-        points, islands = without_islands(points)
-    with watch.stage("level"):
-        level = _level(points, T_level_input, config)
-        R = level.T_level_input[:3, :3]
-        if not np.array_equal(R, np.eye(3)):
-            points = points @ R.T
-    with watch.stage("storeys"):
-        lattice = np.zeros(3) if origin is None else np.array(origin, np.float64)
-        raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
-        if origin is None:
-            lattice[2] = refine_floor(points, storeys[0].floor, config.layers)
-            raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
-        storey_of_raster = assign_storeys(columns, heights, storeys)
-    with watch.stage("voxelise"):
-        if config.voxel_size == RASTER:
-            grid, cell_of_point = raster, raster_of_point
-        else:
-            grid, cell_of_point = voxelise(points, config.voxel_size, lattice)
-    if T_level_input is None:
-        T_level_input = level.T_level_input.copy()
-        T_level_input[:3, 3] = -R @ middle + 0.0
-    return _Scene(
-        points,
-        T_level_input,
-        level.tilt,
-        (*strays, *islands, *moved_finding(middle), *level.findings),
-        grid,
-        cell_of_point,
-        raster,
-        raster_of_point,
-        columns,
-        heights,
-        storeys,
-        storey_of_raster,
-    )
-
-
-def _middle(
-    points: NDArray[np.float64], T_level_input: NDArray[np.float64] | None
-) -> NDArray[np.float64]:
-    """Return where the level frame begins, (3,) m, input frame: as before in a session."""
-    if T_level_input is None:
-        return anchor(points)
-    return np.asarray(-T_level_input[:3, :3].T @ T_level_input[:3, 3] + 0.0)
-
-
-def _level(
-    points: NDArray[np.float64],
-    T_level_input: NDArray[np.float64] | None,
-    config: ExtractionConfig,
-) -> Level:
-    """Estimate how the cloud lies, or take what an earlier map of the session found."""
-    if T_level_input is None:
-        return estimate_level(points, config.level)
-    T = np.array(T_level_input, np.float64)
-    tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
-    return Level(T, tilt, tilt_findings(tilt))
-
-
-def _storeys(
-    points: NDArray[np.float64], lattice: NDArray[np.float64], config: ExtractionConfig
-) -> tuple[VoxelGrid, NDArray[np.int64], Columns, NDArray[np.float64], tuple[StoreyHeights, ...]]:
-    """Put points into 0.1 m voxels and find the storeys; raises ExtractionError without a floor."""
-    raster, raster_of_point = voxelise(points, RASTER, lattice)
-    columns = sort_columns(raster.coords)
-    count = np.bincount(raster_of_point)
-    heights = np.bincount(raster_of_point, weights=points[:, 2]) / count
-    storeys = find_storeys(columns, heights, float(lattice[2]), config.storeys)
-    if not storeys:
-        raise no_floor(points, config.level)
-    return raster, raster_of_point, columns, heights, storeys
-
-
 def _navigable(
-    scene: _Scene, config: ExtractionConfig, way: NDArray[np.float64] | None
+    scene: Scene, config: ExtractionConfig, way: NDArray[np.float64] | None
 ) -> NDArray[np.int32]:
     """Return the navigable volume: what was seen of it, and what closes its gaps."""
     grid, storeys, stick = scene.grid, scene.storeys, config.navigation
@@ -278,7 +153,7 @@ def _navigable(
 
 
 def _rooms(
-    scene: _Scene,
+    scene: Scene,
     navigable: NDArray[np.int32],
     config: ExtractionConfig,
     classifier: RoomClassifier,
@@ -305,7 +180,7 @@ def _rooms(
     return room, eyes
 
 
-def _map_storeys(scene: _Scene, config: ExtractionConfig) -> tuple[Storey, ...]:
+def _map_storeys(scene: Scene, config: ExtractionConfig) -> tuple[Storey, ...]:
     """Describe the storeys with their bird's-eye layers."""
     floors = [refine_floor(scene.points, s.floor, config.layers) for s in scene.storeys]
     layers = storey_layers(scene.points, floors, config.layers)
@@ -318,7 +193,7 @@ def _map_storeys(scene: _Scene, config: ExtractionConfig) -> tuple[Storey, ...]:
 
 
 def _quality(
-    m: TopometricMap, scene: _Scene, storey: NDArray[np.int32], config: ExtractionConfig
+    m: TopometricMap, scene: Scene, storey: NDArray[np.int32], config: ExtractionConfig
 ) -> Quality:
     """Measure what came out, and log what looks wrong."""
     quality = assess(

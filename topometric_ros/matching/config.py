@@ -13,7 +13,7 @@ class DescriptorConfig:
     """What describes a room's geometry (thesis §4.3.1-4.3.3)."""
 
     names: tuple[str, ...] = parameter(
-        ("engineered", "spectral"),
+        ("shape",),
         "Descriptors to compute and to compare: engineered, spectral, shape, topological; learned, "
         "with the extra `learned`.",
     )

@@ -214,6 +214,7 @@ class ExtractorSession:
             origin=previous.origin if previous else None,
             T_level_input=self._T_level_up,
             way=None if way is None else way.positions @ up[:3, :3].T,
+            thinned=self._cloud is None,
         )
         m = result.map
         if previous is None:

@@ -1,0 +1,150 @@
+"""A cloud made ready: thinned, levelled, put into voxels, its storeys found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topometric_ros.extraction.assemble import majority
+from topometric_ros.extraction.columns import Columns, sort_columns
+from topometric_ros.extraction.config import ExtractionConfig
+from topometric_ros.extraction.errors import ExtractionError
+from topometric_ros.extraction.extent import anchor, moved_finding, without_islands, without_strays
+from topometric_ros.extraction.layers import refine_floor
+from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
+from topometric_ros.extraction.quality import Finding
+from topometric_ros.extraction.storeys import (
+    RASTER,
+    StoreyHeights,
+    assign_storeys,
+    find_storeys,
+)
+from topometric_ros.stopwatch import Stopwatch
+from topometric_ros.voxels.grid import VoxelGrid, thin, voxelise
+
+_FINEST_LAYERS = 0.05
+"""The rasters of storeys are made of points thinned to at most this cell (m)."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A levelled cloud in voxels, and its storeys.
+
+    `cell_of_point` is the map voxel of each thinned point, `raster_of_point` its 0.1 m voxel; both
+    are the same where the map's voxels have that size. `heights` and `storey_of_raster` belong to
+    the 0.1 m voxels.
+    """
+
+    points: NDArray[np.float64]
+    T_level_input: NDArray[np.float64]
+    tilt: float
+    findings: tuple[Finding, ...]
+    grid: VoxelGrid
+    cell_of_point: NDArray[np.int64]
+    raster: VoxelGrid
+    raster_of_point: NDArray[np.int64]
+    columns: Columns
+    heights: NDArray[np.float64]
+    storeys: tuple[StoreyHeights, ...]
+    storey_of_raster: NDArray[np.int32]
+
+    def per_voxel(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Carry labels (R,) of the 0.1 m voxels over to the map's voxels: (N,) int32."""
+        if self.cell_of_point is self.raster_of_point:
+            return labels
+        return majority(self.cell_of_point, labels[self.raster_of_point])
+
+
+def make_scene(
+    points: NDArray[np.float64],
+    config: ExtractionConfig,
+    origin: tuple[float, float, float] | None,
+    T_level_input: NDArray[np.float64] | None,
+    watch: Stopwatch,
+    thinned: bool = False,
+) -> Scene:
+    """Thin and level a cloud, find its storeys and put it into voxels.
+
+    The parameters are those of :func:`topometric_ros.extraction.pipeline.extract`.
+    """
+    if len(points) == 0:
+        raise ExtractionError("no points to extract a map from")
+    with watch.stage("thin"):
+        points, strays = without_strays(np.asarray(points, np.float64))
+        middle = _middle(points, T_level_input)
+        points = points - middle if middle.any() else points
+        if not thinned:
+            points = thin(points, min(config.voxel_size / 2, _FINEST_LAYERS))
+        points, islands = without_islands(points)
+    with watch.stage("level"):
+        level = _level(points, T_level_input, config)
+        R = level.T_level_input[:3, :3]
+        if not np.array_equal(R, np.eye(3)):
+            points = points @ R.T
+    with watch.stage("storeys"):
+        lattice = np.zeros(3) if origin is None else np.array(origin, np.float64)
+        raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
+        if origin is None:
+            lattice[2] = refine_floor(points, storeys[0].floor, config.layers)
+            raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
+        storey_of_raster = assign_storeys(columns, heights, storeys)
+    with watch.stage("voxelise"):
+        if config.voxel_size == RASTER:
+            grid, cell_of_point = raster, raster_of_point
+        else:
+            grid, cell_of_point = voxelise(points, config.voxel_size, lattice)
+    if T_level_input is None:
+        T_level_input = level.T_level_input.copy()
+        T_level_input[:3, 3] = -R @ middle + 0.0
+    return Scene(
+        points,
+        T_level_input,
+        level.tilt,
+        (*strays, *islands, *moved_finding(middle), *level.findings),
+        grid,
+        cell_of_point,
+        raster,
+        raster_of_point,
+        columns,
+        heights,
+        storeys,
+        storey_of_raster,
+    )
+
+
+def _middle(
+    points: NDArray[np.float64], T_level_input: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Return where the level frame begins, (3,) m, input frame: as before in a session."""
+    if T_level_input is None:
+        return anchor(points)
+    return np.asarray(-T_level_input[:3, :3].T @ T_level_input[:3, 3] + 0.0)
+
+
+def _level(
+    points: NDArray[np.float64],
+    T_level_input: NDArray[np.float64] | None,
+    config: ExtractionConfig,
+) -> Level:
+    """Estimate how the cloud lies, or take what an earlier map of the session found."""
+    if T_level_input is None:
+        return estimate_level(points, config.level)
+    T = np.array(T_level_input, np.float64)
+    tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+    return Level(T, tilt, tilt_findings(tilt))
+
+
+def _storeys(
+    points: NDArray[np.float64], lattice: NDArray[np.float64], config: ExtractionConfig
+) -> tuple[VoxelGrid, NDArray[np.int64], Columns, NDArray[np.float64], tuple[StoreyHeights, ...]]:
+    """Put points into 0.1 m voxels and find the storeys; raises ExtractionError without a floor."""
+    raster, raster_of_point = voxelise(points, RASTER, lattice)
+    columns = sort_columns(raster.coords)
+    count = np.bincount(raster_of_point)
+    heights = np.bincount(raster_of_point, weights=points[:, 2]) / count
+    storeys = find_storeys(columns, heights, float(lattice[2]), config.storeys)
+    if not storeys:
+        raise no_floor(points, config.level)
+    return raster, raster_of_point, columns, heights, storeys
