@@ -150,3 +150,11 @@ def test_treads_on_which_the_stick_does_not_fit_are_added() -> None:
     ]
     assert len([z for z in heights[0] if 3 <= z <= 22]) >= 6
     assert heights[0] > heights[1]
+
+
+def test_treads_outside_the_columns_where_one_can_stand_take_part() -> None:
+    grid = grid_of(ROOM)
+    standing = grid.coords[unobstructed(grid, CONFIG)]
+    middle = standing[(standing[:, 0] >= 10) & (standing[:, 0] < 50)]
+    full = close_gaps(standing, middle, grid, STOREY, CONFIG)
+    assert as_set(standing) <= as_set(full)

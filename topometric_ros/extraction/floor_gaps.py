@@ -71,8 +71,10 @@ def close_gaps(
     if len(navigable) == 0 or (way is None and max(config.gap, config.roofed_gap) == 0.0):
         return navigable
     index = VoxelIndex(grid.coords)
-    corner = standing[:, :2].min(axis=0)
-    shape = tuple((standing[:, :2].max(axis=0) - corner + 1).tolist())
+    # Treads are navigable though the stick fits on none of them, so both have a say.
+    places = np.concatenate([navigable[:, :2], standing[:, :2]])
+    corner = places.min(axis=0)
+    shape = tuple((places.max(axis=0) - corner + 1).tolist())
     added = [navigable]
     for number, storey in enumerate(storeys):
         below = storeys[number - 1] if number else None
