@@ -178,7 +178,7 @@ def test_a_shut_door_is_forgiven_where_the_furniture_vouches_for_the_place():
 
 
 def test_moved_furniture_is_forgiven_where_the_walls_of_several_rooms_vouch():
-    moved = {"furniture_judged": 150, "furniture_conflict": 0.25}
+    moved = {"furniture_judged": 150, "furniture_conflict": 0.25, "free_share": 0.3}
     assert decide([at(0.0, good(**moved))], CONFIG).status is AlignmentStatus.ACCEPTED
     one_room = good(**moved, free_floor=12.0)
     assert decide([at(0.0, one_room)], CONFIG).status is AlignmentStatus.REJECTED
@@ -196,6 +196,9 @@ def test_a_flat_that_one_map_holds_whole_may_be_its_twin_where_furniture_differs
     assert decide([at(0.0, same)], CONFIG).status is AlignmentStatus.ACCEPTED
     beyond = good(**{**twin, "free_share": 0.6}, furniture_conflict=0.035)
     assert decide([at(0.0, beyond)], CONFIG).status is AlignmentStatus.ACCEPTED
+    otherwise = {"furniture_judged": 177, "furniture_conflict_cells": 35}
+    flat = good(free_share=0.5, furniture_conflict=0.2, **otherwise)
+    assert decide([at(0.0, flat)], CONFIG).status is AlignmentStatus.AMBIGUOUS
     floor = good(**twin, furniture_conflict=0.035, free_floor=150.0)
     assert decide([at(0.0, floor)], CONFIG).status is AlignmentStatus.ACCEPTED
 

@@ -22,6 +22,10 @@ _ACROSS_AT_ALL = 1.0
 _PART = 0.75
 """Of `twin_share`: the share of the smaller map's floor from which it is a part of the other."""
 
+_HALF, _OTHERWISE = 0.5, 0.06
+"""Of `twin_share`, and furniture in conflict beyond doubt, from which as much may be another flat,
+furnished otherwise: rooms of one kind are furnished much alike."""
+
 _WALL_CLUMP, _FURNITURE_CLUMP = 2.0, 3.0
 """Neighbouring cells that err together and count as one."""
 
@@ -227,8 +231,12 @@ def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
         e.furniture_conflict_cells >= _FURNITURE_CLUMP
         and e.furniture_conflict >= config.twin_furniture
     )
-    whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor
-    return (whole and differs) or _is_part(e, config)
+    if e.free_floor >= config.twin_floor:
+        return False
+    surely = _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
+    otherwise = surely >= _OTHERWISE and e.free_share >= _HALF * config.twin_share
+    whole = e.free_share >= config.twin_share and differs
+    return whole or otherwise or _is_part(e, config)
 
 
 def _is_part(e: Evidence, config: VerificationConfig) -> bool:
@@ -245,7 +253,7 @@ def why_a_twin(e: Evidence, config: VerificationConfig) -> str:
             "look the same, let the smaller map grow"
         )
     return (
-        f"one map holds {e.free_share:.0%} of the floor of the other, so nothing else tells where "
+        f"one map holds {e.free_share:.0%} of the floor of the other, so little else tells where "
         f"that lies, and {e.furniture_conflict:.1%} of the furniture stands elsewhere: "
         "an identical flat would look the same"
     )
