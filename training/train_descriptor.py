@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--views", type=Path, required=True)
     parser.add_argument("--held", type=Path, required=True, help="rooms to measure on")
     parser.add_argument("--contrast", type=float, default=1.0)
-    parser.add_argument("--minutes", type=float, default=10.0, help="CPU minutes to train")
+    parser.add_argument("--steps", type=int, default=2300)
     parser.add_argument("--rooms", type=int, default=32, help="rooms in a batch")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", type=Path, default=Path("learned.onnx"))
@@ -55,18 +55,18 @@ def main() -> None:
 
 
 def _train(args: argparse.Namespace, rooms: RoomViews, held: RoomViews) -> Encoder:
-    """Run steps until the CPU minutes are spent, the learning rate falling to nothing."""
+    """Take the steps, the learning rate falling to nothing."""
     rng = np.random.default_rng(args.seed)
     encoder, decoder = Encoder(), Decoder(COMPLETED)
     optimizer = torch.optim.AdamW([*encoder.parameters(), *decoder.parameters()], lr=2e-3)
-    step, mean, budget = 0, np.zeros(2), 60.0 * args.minutes
-    started = time.process_time()
+    mean, started = np.zeros(2), time.process_time()
     with args.log.open("w", newline="") as file:
         log = csv.writer(file)
         log.writerow(["step", "cpu_s", "chamfer_m", "contrast", "held_first", "held_chance"])
-        while (spent := time.process_time() - started) < budget:
+        for step in range(1, args.steps + 1):
+            rate = 2e-3 * min(1.0, step / 50) * np.cos(np.pi / 2 * step / args.steps)
             for group in optimizer.param_groups:
-                group["lr"] = 2e-3 * min(1.0, step / 50 + 0.02) * np.cos(np.pi / 2 * spent / budget)
+                group["lr"] = rate
             one, two, whole = _batch(rooms, args.rooms, rng)
             codes = encoder(torch.from_numpy(np.concatenate([one, two])))
             some = torch.from_numpy(rng.choice(COMPLETED, _CHAMFER_POINTS, replace=False))
@@ -76,13 +76,11 @@ def _train(args: argparse.Namespace, rooms: RoomViews, held: RoomViews) -> Encod
             (away + args.contrast * apart).backward()
             optimizer.step()
             mean += (away.item(), apart.item())
-            step += 1
             if step % LOGGED == 0:
                 right = _found(encoder, held)
-                row = [f"{value:.3f}" for value in mean / LOGGED]
-                log.writerow(
-                    [step, round(spent), *row, f"{right:.3f}", f"{1 / len(held.views):.3f}"]
-                )
+                values = (*mean / LOGGED, right, 1 / len(held.views))
+                spent = round(time.process_time() - started)
+                log.writerow([step, spent, *(f"{value:.3f}" for value in values)])
                 file.flush()
                 mean[:] = 0.0
     return encoder

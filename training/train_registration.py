@@ -42,7 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--views", type=Path, required=True)
     parser.add_argument("--held", type=Path, required=True, help="rooms to measure on")
-    parser.add_argument("--minutes", type=float, default=4.0, help="CPU minutes to train")
+    parser.add_argument("--steps", type=int, default=1650)
     parser.add_argument("--pairs", type=int, default=16, help="pairs of views in a batch")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", type=Path, default=Path("deep_closest_point.onnx"))
@@ -54,32 +54,29 @@ def main() -> None:
 
 
 def _train(args: argparse.Namespace, rooms: RoomViews, held: RoomViews) -> DeepClosestPoint:
-    """Run steps until the CPU minutes are spent, the learning rate falling to nothing."""
+    """Take the steps, the learning rate falling to nothing."""
     rng = np.random.default_rng(args.seed)
     network = DeepClosestPoint()
     optimizer = torch.optim.AdamW(network.parameters(), lr=1e-3)
-    step, mean, budget = 0, np.zeros(3), 60.0 * args.minutes
-    started = time.process_time()
+    mean, started = np.zeros(3), time.process_time()
     with args.log.open("w", newline="") as file:
         log = csv.writer(file)
         log.writerow(["step", "cpu_s", "pairs", "weights", "apart_m", "held_apart_m"])
-        while (spent := time.process_time() - started) < budget:
+        for step in range(1, args.steps + 1):
+            rate = 1e-3 * min(1.0, step / 100) * np.cos(np.pi / 2 * step / args.steps)
             for group in optimizer.param_groups:
-                group["lr"] = (
-                    1e-3 * min(1.0, step / 100 + 0.02) * np.cos(np.pi / 2 * spent / budget)
-                )
+                group["lr"] = rate
             parts = _losses(network, *batch(rooms, args.pairs, rng))
             optimizer.zero_grad()
             sum(parts).backward()
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             mean += [part.item() for part in parts]
-            step += 1
             if step % LOGGED == 0:
                 with torch.no_grad():
                     last = _losses(network, *batch(held, 32, np.random.default_rng(1)))[2]
                 row = [f"{value:.3f}" for value in (*mean / LOGGED, last.item())]
-                log.writerow([step, round(spent), *row])
+                log.writerow([step, round(time.process_time() - started), *row])
                 file.flush()
                 mean[:] = 0.0
     return network
