@@ -231,11 +231,9 @@ def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
         e.furniture_conflict_cells >= _FURNITURE_CLUMP
         and e.furniture_conflict >= config.twin_furniture
     )
-    if e.free_floor >= config.twin_floor:
-        return False
     surely = _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
     otherwise = surely >= _OTHERWISE and e.free_share >= _HALF * config.twin_share
-    whole = e.free_share >= config.twin_share and differs
+    whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor and differs
     return whole or otherwise or _is_part(e, config)
 
 
