@@ -224,6 +224,10 @@ def allowed(enclave: str, verb: str, agent: str) -> set[str]:
 
 def assert_nothing_more_than_the_policies_allow(own: Graph, agent: str) -> None:
     graph = own.node
+    expected = {("extractor", f"/{agent}"), ("merger", "/")}
+    wait_for(
+        lambda: expected <= set(graph.get_node_names_and_namespaces()), WORK_S, "both nodes known"
+    )
     for node, namespace, enclave in (
         ("extractor", f"/{agent}", "/robot1/extractor"),
         ("merger", "/", "/merger"),
