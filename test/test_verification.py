@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -201,6 +202,16 @@ def test_a_flat_that_one_map_holds_whole_may_be_its_twin_where_furniture_differs
     assert decide([at(0.0, flat)], CONFIG).status is AlignmentStatus.AMBIGUOUS
     floor = good(**twin, furniture_conflict=0.035, free_floor=150.0)
     assert decide([at(0.0, floor)], CONFIG).status is AlignmentStatus.ACCEPTED
+
+
+def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
+    moved = good(
+        free_share=0.6, free_floor=150.0, furniture_judged=400,
+        furniture_conflict_cells=50, furniture_conflict=0.125,
+    )  # fmt: skip
+    assert decide([at(0.0, moved)], CONFIG).status is AlignmentStatus.AMBIGUOUS
+    days = replace(CONFIG, changed_furniture=True)
+    assert decide([at(0.0, moved)], days).status is AlignmentStatus.ACCEPTED
 
 
 def test_a_small_map_within_another_may_be_part_of_a_twin():

@@ -127,7 +127,9 @@ class VerificationConfig:
         minimum=0.0, maximum=10.0,
     )  # fmt: skip
     changed_furniture: bool = parameter(
-        False, "Also accept where doors and furniture changed, if much more is in common."
+        False,
+        "Also accept where doors and furniture changed, if much more is in common: for maps "
+        "of different days, where no storey is built like another one.",
     )
     same_distance: float = parameter(
         0.6, "Poses nearer than this on the plan are one.", unit="m", minimum=0.0, maximum=5.0
@@ -232,7 +234,8 @@ def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
         and e.furniture_conflict >= config.twin_furniture
     )
     surely = _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
-    otherwise = surely >= _OTHERWISE and e.free_share >= _HALF * config.twin_share
+    moved = config.changed_furniture and e.free_floor >= config.twin_floor
+    otherwise = surely >= _OTHERWISE and e.free_share >= _HALF * config.twin_share and not moved
     whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor and differs
     return whole or otherwise or _is_part(e, config)
 
