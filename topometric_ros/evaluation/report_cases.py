@@ -25,6 +25,7 @@ from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.visualization.figures import global_figure, hex_colour
 from topometric_ros.visualization.page import counted, details, picture, text
 from topometric_ros.visualization.pair_figures import matches_figure, overlay_figure
+from topometric_ros.visualization.report_pairs import best_alternative
 from topometric_ros.visualization.stage_files import alignment_of
 from topometric_ros.voxels.palette import agent_colour
 
@@ -99,10 +100,9 @@ def _missed(
     alignment = alignment_of(entry)
     a, b = (maps[name] for name in alignment.agents)
     parts = []
-    if alignment.T_a_b is None and entry["alternatives"]:
-        best = max(entry["alternatives"], key=lambda other: other["score"])
-        note = f"The best pose considered (score {best['score']:.0f}), which was not accepted."
-        parts.append(_overlay(alignment, best["T_a_b"], maps, agents, "best pose", note))
+    best = best_alternative(alignment)
+    if alignment.T_a_b is None and best is not None:
+        parts.append(_overlay(alignment, best[0], maps, agents, "best pose", best[1]))
     if true_pose is not None:
         parts.append(_overlay(alignment, true_pose, maps, agents, "true pose", "The true pose."))
     grown = propose_from_rooms(a, b, preset_config(preset).merge.matching)

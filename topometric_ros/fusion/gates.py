@@ -189,8 +189,7 @@ def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
             f"at most {config.wall_conflict:.1%} allowed"
         )
     counted = e.furniture_judged >= config.furniture_judged
-    surely = _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
-    if counted and surely > config.furniture_conflict:
+    if counted and _furniture_elsewhere(e) > config.furniture_conflict:
         return (
             "the furniture of one map stands where the other saw bare floor: "
             f"{e.furniture_conflict:.0%} of {e.furniture_judged} furniture cells conflict, "
@@ -206,6 +205,11 @@ def _at_least(share: float, count: float) -> float:
     z = 1.645
     spread = np.sqrt(share * (1.0 - share) / count + z**2 / (4.0 * count**2))
     return float(max(0.0, (share + z**2 / (2.0 * count) - z * spread) / (1.0 + z**2 / count)))
+
+
+def _furniture_elsewhere(e: Evidence) -> float:
+    """Return the share of the furniture that stands elsewhere beyond doubt."""
+    return _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
 
 
 def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationConfig) -> bool:
@@ -233,9 +237,9 @@ def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
         e.furniture_conflict_cells >= _FURNITURE_CLUMP
         and e.furniture_conflict >= config.twin_furniture
     )
-    surely = _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
     moved = config.changed_furniture and e.free_floor >= config.twin_floor
-    otherwise = surely >= _OTHERWISE and e.free_share >= _HALF * config.twin_share and not moved
+    differently = _furniture_elsewhere(e) >= _OTHERWISE and not moved
+    otherwise = differently and e.free_share >= _HALF * config.twin_share
     whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor and differs
     return whole or otherwise or _is_part(e, config)
 

@@ -77,7 +77,7 @@ def alignment_section(
         "" if T is None or len(names) == 2 else tiles(alignment_numbers(alignment)),
     ]
     caption = "Walls that one agent alone saw keep its colour; red walls contradict free floor."
-    best = _best_alternative(alignment)
+    best = best_alternative(alignment)
     if T is None and best is not None:
         T, caption = best
     if T is not None:
@@ -93,7 +93,7 @@ def alignment_section(
     return "".join(parts)
 
 
-def _best_alternative(alignment: Alignment) -> tuple[NDArray[np.float64], str] | None:
+def best_alternative(alignment: Alignment) -> tuple[NDArray[np.float64], str] | None:
     """The pose that came nearest to being accepted, with a caption that says it was not."""
     if not alignment.alternatives:
         return None

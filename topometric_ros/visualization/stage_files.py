@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from topometric_ros.alignment import Alignment, AlignmentStatus, RoomMatch
+from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
 from topometric_ros.io.summaries import write_atomically
 from topometric_ros.runtime.bag_sources import parse_source
 from topometric_ros.runtime.config import ToolConfig
@@ -133,6 +133,10 @@ def alignment_of(entry: Mapping[str, Any]) -> Alignment:
         status=AlignmentStatus(entry["status"]),
         reason=entry["reason"],
         T_a_b=None if entry["T_a_b"] is None else np.array(entry["T_a_b"], np.float64),
+        alternatives=tuple(
+            Alternative(np.array(other["T_a_b"], np.float64), float(other["score"]))
+            for other in entry.get("alternatives", ())
+        ),
         matches=tuple(RoomMatch(int(i), int(j), float(d)) for i, j, d in entry["matches"]),
     )
 
