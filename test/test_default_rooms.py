@@ -179,6 +179,36 @@ def test_a_sloped_roof_is_no_wall() -> None:
     assert walls[1] > 0.3
 
 
+def _staircase() -> NDArray[np.float64]:
+    """A room of 6 m x 4 m; a flight climbs through its ceiling, a wall of 1.2 m stands beside."""
+    room = box_room((0, 0, 0), (6, 4, 2.6))
+    x, y = (g.ravel() for g in np.meshgrid(np.arange(1, 5, 0.04), np.arange(1.4, 2.6, 0.04)))
+    open_ = (room[:, 2] > 2.5) & (np.abs(room[:, 0] - 3) < 2) & (np.abs(room[:, 1] - 2) < 0.6)
+    rise = 0.2 * np.floor((x - 1) / 0.25)
+    parts = [
+        np.stack([x, y, z], -1) for z in (rise, np.maximum(rise - 0.2, 0), np.full(len(x), 5.6))
+    ]
+    v, h = (g.ravel() for g in np.meshgrid(np.arange(3, 4.2, 0.04), np.arange(0, 2.6, 0.04)))
+    parts += [np.stack([v, np.full(len(v), side), h], -1) for side in (2.7, 2.8)]
+    return np.concatenate([room[~open_], *parts])
+
+
+def test_a_flight_of_stairs_is_no_wall_nor_is_what_stands_alone_beside_it() -> None:
+    cloud = _staircase()
+    grid, cell_of_point = voxelise(cloud, RASTER, np.zeros(3))
+    heights = np.bincount(cell_of_point, weights=cloud[:, 2]) / np.bincount(cell_of_point)
+    columns = sort_columns(grid.coords)
+    storey, members = StoreyHeights(0.0, 2.6, True), heights < 2.7
+    inside = np.s_[MARGIN + 5 : MARGIN + 55, MARGIN + 5 : MARGIN + 35]
+    for config, expected in (
+        (WallsConfig(), 0),
+        (WallsConfig(beside_stairs=0.0), 12 * 2),
+        (WallsConfig(beside_stairs=0.0, sloped_roofs=False), 12 * 2 + 3 * 12),
+    ):
+        wall = storey_raster(columns, heights, members, storey, config).wall[inside]
+        assert expected <= np.count_nonzero(wall) <= 1.6 * expected
+
+
 def test_an_attic_under_a_pitched_roof_is_one_room() -> None:
     x, y = (g.ravel() for g in np.meshgrid(np.arange(0, 8, 0.04), np.arange(0, 9, 0.04)))
     height = 0.5 + np.minimum(y, 9 - y) * 0.7

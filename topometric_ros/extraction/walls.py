@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.configuration import parameter
-from topometric_ros.extraction.columns import Columns
+from topometric_ros.extraction.columns import NOTHING, Columns
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
 from topometric_ros.voxels.grid import bounds
 
@@ -29,6 +29,12 @@ _ROOF = 80
 
 _BESIDE = 2
 """Cells round a pillar that are looked at."""
+
+_HEADROOM = 14
+"""Cells free above a tread, which a lamp or a lintel does not have."""
+
+_TOP = 0.15
+"""What lies this near to the ceiling is no tread of this storey, m."""
 
 _OPEN = 30.0
 """Cells from the nearest wall beyond which it narrows nothing."""
@@ -61,7 +67,9 @@ class WallsConfig:
         0.3, "Gaps in walls and floors up to twice this wide close.", unit="m", maximum=2.0
     )
     sloped_roofs: bool = parameter(
-        True, "Drop thick wall without anything under it: a sloped roof that enters the band."
+        True,
+        "Drop thick wall without anything under it: a sloped roof or a flight of stairs in the "
+        "band.",
     )
     pillar: float = parameter(
         0.6,
@@ -69,6 +77,13 @@ class WallsConfig:
         unit="m",
         minimum=0.0,
         maximum=2.0,
+    )
+    beside_stairs: float = parameter(
+        1.5,
+        "Free-standing pieces of wall beside a flight of stairs up to this wide divide no room.",
+        unit="m",
+        minimum=0.0,
+        maximum=5.0,
     )
     roof_support: int = parameter(
         10, "Occupied cells 0.3 to 1.5 m above the floor that make wall of it.", minimum=1
@@ -164,6 +179,11 @@ def storey_raster(
     heights : (N,) float64, m, mean height of the points seen in each voxel
     members : (N,) bool, the voxels of this storey, at least one
     storey : its floor and ceiling
+
+    Notes
+    -----
+    Where a flight of stairs runs through the band it is no wall: treads are level, have headroom
+    and nothing under them, and together they are wider than a lintel.
     """
     cells = columns.raster_cells()[members].astype(np.int64)
     low, high = bounds(cells)
@@ -172,8 +192,10 @@ def storey_raster(
     cells -= low
     above_floor = heights[members] - storey.floor
 
-    def count(bottom: float, top: float) -> NDArray[np.int64]:
+    def count(bottom: float, top: float, of: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         inside = (above_floor >= bottom) & (above_floor <= top)
+        if of is not None:
+            inside &= of
         flat = np.ravel_multi_index(tuple(cells[inside].T), shape)
         return np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
 
@@ -181,18 +203,36 @@ def storey_raster(
     bottom = min(config.band_bottom, height - config.band_height)
     wall = count(bottom, height - config.band_top) >= config.smallest_count
     closing = config.closing / RASTER
+    flight = np.zeros(shape, bool)
     if config.sloped_roofs:
-        wall = _without_roofs(wall, count(0.3, 1.5) >= config.roof_support, closing)
+        above = columns.above[members]
+        treads = count(bottom, height - _TOP, (above > _HEADROOM) & (above < NOTHING)) > 0
+        support = count(0.3, 1.5) >= config.roof_support
+        flight = opened(closed(treads, 1) & ~ndimage.binary_dilation(support, _EIGHT), closing)
+        wall = _without_roofs(wall, support, flight, closing)
     else:
         wall = closed(wall, closing)
     observed = np.zeros(shape, bool)
     observed[tuple(cells.T)] = True
-    ground = closed(observed, closing)
-    wall = _without_pillars(wall, ground, round(config.pillar / RASTER))
+    return _raster(columns.corner + low, observed, wall, flight, config)
+
+
+def _raster(
+    corner: NDArray[np.int64],
+    observed: NDArray[np.bool_],
+    wall: NDArray[np.bool_],
+    flight: NDArray[np.bool_],
+    config: WallsConfig,
+) -> StoreyRaster:
+    """Complete a raster from what was seen, its walls and the stairs that run through the band."""
+    ground = closed(observed, config.closing / RASTER)
+    near_flight = dilated(flight, _INSIDE)
+    sizes = np.where(near_flight, max(config.pillar, config.beside_stairs), config.pillar)
+    wall = _without_pillars(wall, ground, np.round(sizes / RASTER))
     domain = ground & ~wall
     inside = (domain | dilated(wall, 2)) & ~wall
     distance = np.asarray(ndimage.distance_transform_edt(inside))
-    return StoreyRaster(columns.corner + low, observed, wall, domain, distance, clearance(wall))
+    return StoreyRaster(corner, observed, wall, domain, distance, clearance(wall))
 
 
 def clearance(wall: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -203,33 +243,39 @@ def clearance(wall: NDArray[np.bool_]) -> NDArray[np.float64]:
 
 
 def _without_pillars(
-    wall: NDArray[np.bool_], ground: NDArray[np.bool_], size: int
+    wall: NDArray[np.bool_], ground: NDArray[np.bool_], sizes: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Drop walls of `size` cells at most that stand alone with ground seen all round.
+    """Drop walls that stand alone with ground seen all round and are no wider than `sizes`.
 
-    Where less was seen, a small piece may be all that was seen of a wall.
+    These (nx, ny) are in cells and hold for the walls that lie in theirs. Where less was seen, a
+    small piece may be all that was seen of a wall.
     """
     parts, count = ndimage.label(wall, _EIGHT)
     kept = np.ones(count + 1, bool)
+    largest = ndimage.maximum(sizes, parts, np.arange(count + 1))
     for part, (x, y) in enumerate(ndimage.find_objects(parts), 1):
-        kept[part] = max(x.stop - x.start, y.stop - y.start) > size
+        kept[part] = max(x.stop - x.start, y.stop - y.start) > largest[part]
     kept[np.unique(parts[dilated(~ground, _BESIDE)])] = True
     return wall & kept[parts]
 
 
 def _without_roofs(
-    seen: NDArray[np.bool_], support: NDArray[np.bool_], radius: float
+    seen: NDArray[np.bool_],
+    support: NDArray[np.bool_],
+    flight: NDArray[np.bool_],
+    radius: float,
 ) -> NDArray[np.bool_]:
     """Close walls and drop roofs, which are thick and stand on nothing (change C of the recipe).
 
     A roof is known by a place that is too thick and has too much round it that stands on nothing
     for a lintel, and is too far from all that stands for the inside of a wall. What stands on
-    nothing and hangs together with it goes too, 0.6 m far.
+    nothing and hangs together with it, or with a flight of stairs, goes too, 0.6 m far.
     """
     wall = closed(seen, radius)
     hanging = wall & ~ndimage.binary_dilation(support, _EIGHT)
     around = ndimage.uniform_filter(hanging.astype(float), _AROUND, mode="constant") * _AROUND**2
     core = opened(wall, radius) & ~dilated(support, _INSIDE) & (around >= _ROOF)
+    core |= flight & wall
     parts, _ = ndimage.label(hanging, _EIGHT)
     of_roof = np.bincount(parts[core & hanging], minlength=int(parts.max()) + 1) > 0
     return wall & ~(hanging & of_roof[parts] & dilated(core, 2 * _INSIDE))
