@@ -19,6 +19,7 @@ from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.ceilings import open_above
 from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.consensus import consensus
+from topometric_ros.fusion.furniture import stands_as_before
 from topometric_ros.fusion.gates import missed_gate, objection
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
@@ -98,7 +99,7 @@ def _aligned(
         candidates.append(candidate_of(prior, a, b, config))
     with watch.stage("evidence"):
         judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, _scoring(config))) for c in candidates]
-        decision = decide(judged, config.verification)
+        decision = decide(judged, config.verification, lambda c: _same_furniture(a, b, c, config))
         if prior is not None:
             judged, decision = decide_by_prior(judged, decision, prior, a, b, config)
         else:
@@ -201,6 +202,15 @@ def _registration(
         measured = register(b.surface, a.surface, agreed.T_a_b, still, a.tree)
         return replace(measured, T_target_source=agreed.T_a_b)
     return register(b.surface, a.surface, T, config.registration, a.tree)
+
+
+def _same_furniture(a: Prepared, b: Prepared, candidate: Candidate, config: MergeConfig) -> bool:
+    """Whether furniture that was not moved stands where it stood, once a pose is registered."""
+    try:
+        T = _registration(a, b, candidate, config).T_target_source
+    except RegistrationError:
+        return False
+    return stands_as_before((a.map, a.surface), (b.map, b.surface), T)
 
 
 def _believed(

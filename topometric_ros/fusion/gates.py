@@ -6,6 +6,7 @@ Shares are judged by their lower bound: that 7 of 382 cells conflict does not pr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -227,11 +228,14 @@ def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationCo
     )
 
 
-def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
+def may_be_a_twin(
+    e: Evidence, config: VerificationConfig, same_furniture: Callable[[], bool] = lambda: False
+) -> bool:
     """Whether two identical flats, furnished alike, would look the same.
 
     Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees, or
-    little more than a room was seen of it.
+    little more than a room was seen of it. Where much furniture conflicts, `same_furniture` tells
+    whether the rest is the same to the centimetre.
     """
     differs = (
         e.furniture_conflict_cells >= _FURNITURE_CLUMP
@@ -241,7 +245,7 @@ def may_be_a_twin(e: Evidence, config: VerificationConfig) -> bool:
     differently = _furniture_elsewhere(e) >= _OTHERWISE and not moved
     otherwise = differently and e.free_share >= _HALF * config.twin_share
     whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor and differs
-    return whole or otherwise or _is_part(e, config)
+    return whole or _is_part(e, config) or (otherwise and not same_furniture())
 
 
 def _is_part(e: Evidence, config: VerificationConfig) -> bool:

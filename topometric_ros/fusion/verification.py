@@ -7,7 +7,7 @@ operator with the number that decided and the threshold that it missed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,7 +48,11 @@ class Decision:
     alternatives: tuple[Alternative, ...] = ()
 
 
-def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
+def decide(
+    judged: Sequence[Judged],
+    config: VerificationConfig,
+    same_furniture: Callable[[Candidate], bool] = lambda candidate: False,
+) -> Decision:
     """Accept the best of some candidates, or say why not.
 
     Parameters
@@ -98,7 +102,7 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
         rival = judged[rivals[1]][0] if len(rivals) > 1 else None
         reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
-    if may_be_a_twin(first, config):
+    if may_be_a_twin(first, config, lambda: same_furniture(judged[best][0])):
         return decision(
             AlignmentStatus.AMBIGUOUS, why_a_twin(first, config), min(trust, _TWIN_TRUST)
         )

@@ -1,0 +1,136 @@
+"""Whether furniture stands where it stood, to the centimetre.
+
+Where a fifth of the furniture was moved between two visits, as much of it conflicts as in an
+identical flat that is furnished alike. But what was not moved stands exactly where it stood, and in
+another flat nothing does that was put there by hand: so each piece is laid on the other map's by
+itself, and by how far it has to be moved tells the two apart. A piece beside a wall is fixed in one
+direction only and says little, for desks are pushed against walls everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from topometric_ros.fusion.poses import Transform, apply, inverse
+from topometric_ros.fusion.surface import Surface
+from topometric_ros.topometric_map import TopometricMap
+
+_LOWEST, _HIGHEST = 0.2, 1.9
+"""Heights over the floor (m) between which furniture is looked at."""
+
+_UPRIGHT = 0.35
+"""Largest |z| of the normal of an upright face."""
+
+_REACHES = (0.25, 0.25, 0.12, 0.12)
+"""Distance (m) within which a face finds its counterpart, step by step."""
+
+_NEIGHBOURS = 3
+_PARALLEL = 0.8
+"""Faces that one is laid on: so many at most, with normals that agree this well (cosine)."""
+
+_FEWEST_POINTS, _FEWEST_PAIRS = 15, 12
+"""Points of a piece, and pairs, from which its place can be told."""
+
+_FIXED = 4.0
+"""Pairs that must speak for a direction before a piece is fixed in it."""
+
+_KEPT = 0.04
+"""Offset in metres up to which a piece stands where it stood: drift moves whole rooms so far."""
+
+_FEWEST_PIECES, _LEAST_KEPT = 5, 0.5
+"""Pieces that must be fixed, seen from either map, and the share that must stand where it stood.
+
+Right poses with a fifth of the furniture moved: 5 to 61 pieces and 0.79 to 1.00; made flats, alike
+to the millimetre in part: 3 pieces at most (docs/benchmarks.md)."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """How many pieces are fixed in both directions of the plan, and how many were not moved."""
+
+    fixed: int
+    kept: int
+
+
+def stands_as_before(
+    a: tuple[TopometricMap, Surface], b: tuple[TopometricMap, Surface], T_a_b: Transform
+) -> bool:
+    """Return whether most furniture of two maps is the same, piece by piece.
+
+    Parameters
+    ----------
+    a, b : maps with their surfaces (`fusion.surface.surface_of`), level frames
+    T_a_b : (4, 4) float64, m, registered to a centimetre or so
+    """
+    ways = (laid_on(a, b, T_a_b), laid_on(b, a, inverse(T_a_b)))
+    fixed = sum(way.fixed for way in ways)
+    kept = sum(way.kept for way in ways)
+    return min(way.fixed for way in ways) >= _FEWEST_PIECES and kept >= _LEAST_KEPT * fixed
+
+
+def laid_on(
+    a: tuple[TopometricMap, Surface], b: tuple[TopometricMap, Surface], T_a_b: Transform
+) -> Pieces:
+    """Lay each piece of furniture of b on the furniture of a, moving it on the plan."""
+    target, _ = _faces(*a)
+    source, piece = _faces(*b)
+    if len(target) == 0 or len(source) == 0:
+        return Pieces(0, 0)
+    tree = cKDTree(target.points)
+    points, normals = apply(T_a_b, source.points), source.normals @ T_a_b[:3, :3].T
+    fixed = kept = 0
+    for number in np.unique(piece):
+        own = piece == number
+        offset = _offset(points[own], normals[own], target, tree)
+        fixed += offset is not None
+        kept += offset is not None and offset <= _KEPT
+    return Pieces(fixed, kept)
+
+
+def _faces(topometric_map: TopometricMap, surface: Surface) -> tuple[Surface, NDArray[np.int64]]:
+    """Return the upright faces of furniture, and the number of the piece of each."""
+    piece = np.zeros(len(surface), dtype=np.int64)
+    around = np.ones((3, 3), dtype=bool)
+    for storey in topometric_map.storeys:
+        layers, height = storey.layers, surface.points[:, 2] - storey.floor_z
+        labels, _ = ndimage.label(ndimage.binary_dilation(layers.furniture, around), around)
+        cells = np.floor((surface.points[:, :2] - layers.origin) / layers.cell + 0.5).astype(int)
+        rows = np.flatnonzero(
+            np.all((cells >= 0) & (cells < labels.shape), axis=1)
+            & (height > _LOWEST)
+            & (height < _HIGHEST)
+        )
+        found = labels[tuple(cells[rows].T)]
+        piece[rows[found > 0]] = found[found > 0] + piece.max(initial=0)
+    rows = np.flatnonzero((piece > 0) & (np.abs(surface.normals[:, 2]) < _UPRIGHT))
+    return surface.take(rows), piece[rows]
+
+
+def _offset(
+    points: NDArray[np.float64], normals: NDArray[np.float64], target: Surface, tree: cKDTree
+) -> float | None:
+    """Return how far a piece's faces (n, 3) must be moved on the plan, m; None if not fixed."""
+    if len(points) < _FEWEST_POINTS:
+        return None
+    offset = np.zeros(3)
+    for reach in _REACHES:
+        moved = points + offset
+        distance, nearest = tree.query(moved, k=_NEIGHBOURS, distance_upper_bound=reach)
+        found = np.isfinite(distance)
+        nearest = np.where(found, nearest, 0)
+        there = target.normals[nearest]
+        found &= np.abs(np.sum(there * normals[:, None], axis=2)) > _PARALLEL
+        if np.count_nonzero(found) < _FEWEST_PAIRS:
+            return None
+        n = there[found][:, :2]
+        residual = np.sum(there * (target.points[nearest] - moved[:, None]), axis=2)[found]
+        H = n.T @ n
+        if np.linalg.eigvalsh(H)[0] <= _FIXED:
+            return None
+        offset[:2] += np.linalg.solve(H, n.T @ residual)
+    return float(np.linalg.norm(offset))
