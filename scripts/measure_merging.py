@@ -245,7 +245,7 @@ def measure_pair(a: Saved, b: Saved, kind: str, config: ToolConfig) -> Row:
         errors = [_error(T, T_true, points) for T in poses]
         error = errors[0] if alignment.accepted else None
         rank = next((k for k, e in enumerate(errors, 1) if _near(e, RIGHT)), 0)
-        rooms = _matched_rooms(first, second, alignment, T_true)
+        rooms = _matched_rooms(first, second, alignment, T_true, config)
     elif alignment.accepted:
         error = (float("inf"), 180.0)
     status, reason, trust = alignment.status.value, alignment.reason, alignment.confidence
@@ -263,14 +263,20 @@ def _error(
 
 
 def _matched_rooms(
-    a: Prepared, b: Prepared, alignment: Alignment, T_true: NDArray[np.float64]
+    a: Prepared,
+    b: Prepared,
+    alignment: Alignment,
+    T_true: NDArray[np.float64],
+    config: ToolConfig,
 ) -> tuple[int, int, int]:
     """Return the matches told, the right ones among them and all that the true pose gives."""
     T = a.map.T_level_input @ T_true @ inverse(b.map.T_level_input)
     rows_a, rows_b, _ = shared_voxels(a.map, b.map, T)
     true = {
         (a.map.rooms[i].id, b.map.rooms[j].id)
-        for i, j in same_rooms(a.map, b.map, rows_a, rows_b, SAME_ROOM_SHARE)
+        for i, j in same_rooms(
+            a.map, b.map, rows_a, rows_b, SAME_ROOM_SHARE, config.merge.room_part
+        )
     }
     made = {(m.room_a, m.room_b) for m in alignment.matches if alignment.accepted}
     return len(made), len(made & true), len(true)

@@ -65,13 +65,17 @@ class CaseResult:
     possible: Numbers = ()
     possible_overlap: Numbers = ()
     assigned: Numbers = ()
+    """(P,) matches made, one room to one; `assigned_overlap` with further pieces of rooms."""
     assigned_right: Numbers = ()
+    assigned_overlap: Numbers = ()
     assigned_right_overlap: Numbers = ()
     grown: Numbers = ()
     grown_right: Numbers = ()
+    grown_overlap: Numbers = ()
     grown_right_overlap: Numbers = ()
     final: Numbers = ()
     final_right: Numbers = ()
+    final_overlap: Numbers = ()
     final_right_overlap: Numbers = ()
 
 

@@ -72,6 +72,25 @@ def match_counts(
     return MatchCounts(len(made), len(made & right_pairs), len(right_pairs), rooms_a * rooms_b)
 
 
+def one_to_one(matches: Iterable[Pair]) -> list[Pair]:
+    """Return the matches of which neither room was in an earlier one: no further pieces of a room.
+
+    Examples
+    --------
+    >>> one_to_one([(0, 0), (1, 1), (2, 1)])
+    [(0, 0), (1, 1)]
+    """
+    of_a: set[int] = set()
+    of_b: set[int] = set()
+    kept = []
+    for i, j in matches:
+        if i not in of_a and j not in of_b:
+            kept.append((i, j))
+        of_a.add(i)
+        of_b.add(j)
+    return kept
+
+
 def right_by_counterpart(a: RoomOverlap, b: RoomOverlap) -> set[Pair]:
     """Return all pairs of found rooms with the same counterpart (thesis §5.3)."""
     of_true = {true: found for found, true in counterparts(b).items()}

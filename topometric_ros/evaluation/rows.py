@@ -7,7 +7,7 @@ import hashlib
 import io
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import topometric_ros
 from topometric_ros.evaluation.case_result import (
     COLUMNS,
     CaseResult,
+    Numbers,
     Seconds,
     from_cells,
     to_cells,
@@ -90,3 +91,22 @@ def _write(path: Path, head: Sequence[str], cells: Sequence[Sequence[str]]) -> N
     writer.writerow(head)
     writer.writerows(cells)
     write_atomically(path, stream.getvalue().encode())
+
+
+def grouped(
+    rows: Sequence[CaseResult], group: Callable[[CaseResult], str]
+) -> list[tuple[str, str, list[CaseResult]]]:
+    """Return (group, preset, rows) in the order of first rows, presets of a group together."""
+    groups = dict.fromkeys(group(row) for row in rows)
+    presets = dict.fromkeys(row.preset for row in rows)
+    split = [
+        (g, p, [row for row in rows if group(row) == g and row.preset == p])
+        for g in groups
+        for p in presets
+    ]
+    return [part for part in split if part[2]]
+
+
+def column(rows: Iterable[CaseResult], name: str) -> Numbers:
+    """Return the numbers of a column of all rows, one after another."""
+    return tuple(value for row in rows for value in getattr(row, name))

@@ -18,6 +18,7 @@ from topometric_ros.evaluation.metrics_fusion import (
 )
 from topometric_ros.evaluation.metrics_matching import (
     match_counts,
+    one_to_one,
     right_by_counterpart,
     right_by_overlap,
 )
@@ -134,9 +135,11 @@ def _matching(
         "possible_overlap": float(len(loose)),
     }
     for stage, matches in matches_by_stage(a.map, b.map, alignment, config).items():
-        counts = match_counts(matches, strict, *rooms)
+        # §5.3 knows of one room to one only; further pieces of a room count by overlap.
+        counts = match_counts(one_to_one(matches), strict, *rooms)
         overlapping = match_counts(matches, loose, *rooms)
         columns[stage] = float(counts.made)
+        columns[f"{stage}_overlap"] = float(overlapping.made)
         columns[f"{stage}_right"] = float(counts.right)
         columns[f"{stage}_right_overlap"] = float(overlapping.right)
     return columns

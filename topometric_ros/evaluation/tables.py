@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from topometric_ros.evaluation.case_result import CaseResult, Numbers, Seconds
+from topometric_ros.evaluation.case_result import CaseResult, Seconds
 from topometric_ros.evaluation.metrics_fusion import (
     LITTLE_OVERLAP,
     NO_OVERLAP,
@@ -14,14 +14,9 @@ from topometric_ros.evaluation.metrics_fusion import (
     brier_score,
     reliability,
 )
-from topometric_ros.evaluation.metrics_matching import MatchCounts
+from topometric_ros.evaluation.rows import column, grouped
 from topometric_ros.evaluation.table_cells import Table, mean, median, rate, share
-
-STAGES = {
-    "assigned": "descriptors alone, assigned",
-    "grown": "best grown hypothesis",
-    "final": "accepted alignment",
-}
+from topometric_ros.evaluation.tables_matching import matches_by_overlap, matching_table
 
 
 def tables(rows: Sequence[CaseResult], seconds: Mapping[str, Seconds]) -> list[Table]:
@@ -32,7 +27,8 @@ def tables(rows: Sequence[CaseResult], seconds: Mapping[str, Seconds]) -> list[T
         _fusion(done),
         _rooms(done),
         _graph(done),
-        _matching(done),
+        matching_table(done),
+        matches_by_overlap(done),
         _calibration(done),
         _wire(done),
         _seconds(done, seconds),
@@ -55,7 +51,7 @@ def possible(overlap: float) -> bool:
 
 def _fusion(rows: Sequence[CaseResult]) -> Table:
     cells = []
-    for group, preset, members in _grouped(rows, lambda row: row.group):
+    for group, preset, members in grouped(rows, lambda row: row.group):
         pairs = [(row, k) for row in members for k in range(len(row.overlap))]
         able = [(row, k) for row, k in pairs if possible(row.overlap[k])]
         apart = [(row, k) for row, k in pairs if row.overlap[k] < NO_OVERLAP]
@@ -95,20 +91,22 @@ def _fusion(rows: Sequence[CaseResult]) -> Table:
 
 def _rooms(rows: Sequence[CaseResult]) -> Table:
     cells = []
-    for group, preset, members in _grouped(rows, lambda row: row.group):
+    for group, preset, members in grouped(rows, lambda row: row.group):
         if not any(row.rooms_walked for row in members):
             continue
         cells.append(
             (
                 group,
                 preset,
-                mean(_all(members, "miou_paper")),
-                f"{sum(_all(members, 'left_over')):.0f} of {sum(_all(members, 'rooms_found')):.0f}",
-                mean(_all(members, "miou_whole")),
-                mean(_all(members, "miou_walked")),
-                mean(_all(members, "room_precision")),
-                mean(_all(members, "room_recall")),
-                f"{sum(_all(members, 'rooms_walked')):.0f}",
+                mean(column(members, "miou_paper")),
+                " of ".join(
+                    f"{sum(column(members, name)):.0f}" for name in ("left_over", "rooms_found")
+                ),
+                mean(column(members, "miou_whole")),
+                mean(column(members, "miou_walked")),
+                mean(column(members, "room_precision")),
+                mean(column(members, "room_recall")),
+                f"{sum(column(members, 'rooms_walked')):.0f}",
             )
         )
     head = (
@@ -132,9 +130,9 @@ def _rooms(rows: Sequence[CaseResult]) -> Table:
 
 def _graph(rows: Sequence[CaseResult]) -> Table:
     cells = []
-    for group, preset, members in _grouped(rows, lambda row: row.group):
-        found, right = (int(sum(_all(members, f"edges_{x}"))) for x in ("found", "right"))
-        true, covered = (int(sum(_all(members, f"edges_{x}"))) for x in ("true", "covered"))
+    for group, preset, members in grouped(rows, lambda row: row.group):
+        found, right = (int(sum(column(members, f"edges_{x}"))) for x in ("found", "right"))
+        true, covered = (int(sum(column(members, f"edges_{x}"))) for x in ("true", "covered"))
         if found or true:
             cells.append((group, preset, share(right, found), share(covered, true)))
     note = (
@@ -145,68 +143,9 @@ def _graph(rows: Sequence[CaseResult]) -> Table:
     return Table("Edges of the topological graph", head, tuple(cells), note)
 
 
-def _matching(rows: Sequence[CaseResult]) -> Table:
-    cells = []
-    for group, preset, members in _grouped(rows, lambda row: row.group):
-        members = [row for row in members if row.room_pairs]
-        for stage, words in STAGES.items() if members else ():
-            counts = match_totals(members, stage)
-            loose = int(sum(_all(members, f"{stage}_right_overlap")))
-            cells.append(
-                (
-                    *(group, preset, words),
-                    share(counts.right, counts.made),
-                    share(counts.right, counts.possible),
-                    f"{100 * counts.accuracy:.2f} % (N = {counts.pairs})" if counts.pairs else "–",
-                    f"{counts.f1:.2f}",
-                    share(loose, counts.made),
-                    mean(_precisions(members, stage)),
-                )
-            )
-    head = (
-        "cases",
-        "preset",
-        "stage",
-        "precision",
-        "recall",
-        "accuracy",
-        "F1",
-        "precision by overlap",
-        "mean precision of a pair of agents",
-    )
-    note = (
-        "A match is right when both rooms have the same true counterpart (§5.3); by overlap: when "
-        "both share half of the smaller with one true room. The last column is the mean over pairs "
-        "of agents that share a tenth or more and have a match, as published figures are."
-    )
-    return Table("Matching", head, tuple(cells), note)
-
-
-def match_totals(rows: Iterable[CaseResult], stage: str) -> MatchCounts:
-    """Return the counts of a stage's matches over all pairs of agents."""
-    total = MatchCounts()
-    for row in rows:
-        columns = (getattr(row, stage), getattr(row, f"{stage}_right"))
-        for made, right, able, pairs in zip(*columns, row.possible, row.room_pairs, strict=True):
-            total += MatchCounts(int(made), int(right), int(able), int(pairs))
-    return total
-
-
-def _precisions(rows: Iterable[CaseResult], stage: str) -> list[float]:
-    """Return the precision of every pair of agents that shares a tenth and has a match."""
-    return [
-        right / made
-        for row in rows
-        for made, right, overlap in zip(
-            getattr(row, stage), getattr(row, f"{stage}_right"), row.overlap, strict=True
-        )
-        if made and possible(overlap)
-    ]
-
-
 def _calibration(rows: Sequence[CaseResult]) -> Table:
     cells = []
-    for _, preset, members in _grouped(rows, lambda row: ""):
+    for _, preset, members in grouped(rows, lambda row: ""):
         accepted = [
             (r.confidence[k], bool(r.right[k])) for r, k in _pairs(members) if r.accepted[k]
         ]
@@ -225,9 +164,9 @@ def _calibration(rows: Sequence[CaseResult]) -> Table:
 
 def _wire(rows: Sequence[CaseResult]) -> Table:
     cells = []
-    for _, preset, members in _grouped(rows, lambda row: ""):
+    for _, preset, members in grouped(rows, lambda row: ""):
         members = [row for row in members if row.rooms_walked]
-        sizes, points = _all(members, "message_bytes"), _all(members, "points")
+        sizes, points = column(members, "message_bytes"), column(members, "points")
         if sizes:
             shares = [100 * s / (RAW_POINT_BYTES * p) for s, p in zip(sizes, points, strict=True)]
             kilobytes = median([s / 1000 for s in sizes], 0, "kB")
@@ -241,7 +180,7 @@ def _wire(rows: Sequence[CaseResult]) -> Table:
 
 def _seconds(rows: Sequence[CaseResult], seconds: Mapping[str, Seconds]) -> Table:
     cells = []
-    for group, preset, members in _grouped(rows, lambda row: row.group):
+    for group, preset, members in grouped(rows, lambda row: row.group):
         spent = [seconds[row.key] for row in members if row.key in seconds]
         extraction = [s.extraction for s in spent]
         cells.append(
@@ -253,25 +192,6 @@ def _seconds(rows: Sequence[CaseResult], seconds: Mapping[str, Seconds]) -> Tabl
     head = ("cases", "preset", "extraction of all agents", "merging")
     note = "CPU seconds a case. Maps that another case has made already cost no extraction."
     return Table("CPU seconds", head, tuple(cells), note)
-
-
-def _grouped(
-    rows: Sequence[CaseResult], group: Callable[[CaseResult], str]
-) -> list[tuple[str, str, list[CaseResult]]]:
-    """Return (group, preset, rows) in the order of first rows, presets of a group together."""
-    groups = dict.fromkeys(group(row) for row in rows)
-    presets = dict.fromkeys(row.preset for row in rows)
-    split = [
-        (g, p, [row for row in rows if group(row) == g and row.preset == p])
-        for g in groups
-        for p in presets
-    ]
-    return [part for part in split if part[2]]
-
-
-def _all(rows: Iterable[CaseResult], column: str) -> Numbers:
-    """Return the numbers of a column of all rows, one after another."""
-    return tuple(value for row in rows for value in getattr(row, column))
 
 
 def _pairs(rows: Iterable[CaseResult]) -> Iterable[tuple[CaseResult, int]]:

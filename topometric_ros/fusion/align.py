@@ -262,7 +262,8 @@ def _accepted(
     T = result.T_target_source
     with watch.stage("overlap"):
         rows_a, rows_b, overlap = shared_voxels(a.map, b.map, T)
-        pairs = same_rooms(a.map, b.map, rows_a, rows_b, SAME_ROOM_SHARE)
+        part = config.room_part
+        pairs = same_rooms(a.map, b.map, rows_a, rows_b, SAME_ROOM_SHARE, part)
     with watch.stage("matching"):
         distances = room_distances(a.described, b.described, config.matching)
     return Alignment(

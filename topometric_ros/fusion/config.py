@@ -53,6 +53,13 @@ class MergeConfig:
         minimum=0.001,
         maximum=1.0,
     )
+    room_part: float = parameter(
+        0.05,
+        "Where a map splits a room of the other, every piece is matched that shares this much of "
+        "the smaller of the two rooms; 1: one room to one.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     priors: tuple[str, ...] = parameter(
         (),
         "What is known beforehand of how agents lie to each other, a line of YAML each, as "
@@ -86,6 +93,7 @@ def merge_preset(name: str) -> MergeConfig:
         return MergeConfig(
             sources=("rooms",),
             check="gates",
+            room_part=1.0,
             refinement="consensus",
             consensus=ConsensusConfig(joint=False),
             matching=matching_preset("thesis"),

@@ -11,6 +11,9 @@ from topometric_ros.fusion.poses import Transform, apply, inverse
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels.labels import joint_counts
 
+_FEWEST = 20
+"""Voxels that a further piece of a room shares with it at least: a few meet at any wall."""
+
 
 def shared_voxels(
     a: TopometricMap, b: TopometricMap, T_a_b: Transform
@@ -55,20 +58,41 @@ def same_rooms(
     rows_a: NDArray[np.int64],
     rows_b: NDArray[np.int64],
     least_share: float,
+    least_part: float = 1.0,
 ) -> list[tuple[int, int]]:
-    """Return the pairs of rows of rooms that are the same place, one to one.
+    """Return the pairs of rows of rooms that are the same place.
 
-    Rooms are assigned by the voxels they share; a pair counts where these are at least
-    `least_share` of the smaller room's part that the other map has seen at all.
+    Rooms are assigned one to one by the voxels they share; a pair counts where these are at least
+    `least_share` of the smaller room's part that the other map has seen at all. Where a map splits
+    a room, its further pieces follow: pairs that share as much, and `least_part` of the smaller of
+    the whole rooms as well.
+
+    Parameters
+    ----------
+    rows_a, rows_b : (n,) int64, voxels that lie on each other (`shared_voxels`)
+    least_share, least_part : 0..1; no further pieces where `least_part` is 1
+
+    Returns
+    -------
+    pairs of rows of rooms: first those one to one, then the further ones, each by rising rows
     """
     if not (a.rooms and b.rooms):
         return []
     ids_a, ids_b = (np.array([room.id for room in m.rooms]) for m in (a, b))
     shared = joint_counts(a.room[rows_a], b.room[rows_b], ids_a, ids_b)[:-1, :-1]
-    seen_a, seen_b = shared.sum(axis=1), shared.sum(axis=0)
+    seen = np.minimum(shared.sum(axis=1)[:, None], shared.sum(axis=0)[None, :])
+    same = (shared > 0) & (shared >= least_share * seen)
     pairs = zip(*linear_sum_assignment(-shared), strict=True)
-    return [
-        (int(i), int(j))
-        for i, j in pairs
-        if shared[i, j] > 0 and shared[i, j] >= least_share * min(seen_a[i], seen_b[j])
-    ]
+    main = [(int(i), int(j)) for i, j in pairs if same[i, j]]
+    if least_part >= 1.0:
+        return main
+    whole = np.minimum(_voxels_of(a, ids_a)[:, None], _voxels_of(b, ids_b)[None, :])
+    pieces = np.argwhere(same & (shared >= np.maximum(least_part * whole, _FEWEST)))
+    return main + sorted({(int(i), int(j)) for i, j in pieces} - set(main))
+
+
+def _voxels_of(m: TopometricMap, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how many voxels each room has: (R,)."""
+    known, counts = np.unique(m.room, return_counts=True)
+    size = dict(zip(known.tolist(), counts.tolist(), strict=True))
+    return np.array([size.get(int(i), 0) for i in ids], np.int64)
