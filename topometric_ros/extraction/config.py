@@ -68,6 +68,7 @@ def extraction_preset(name: str) -> ExtractionConfig:
     if name == "thesis":
         return ExtractionConfig(
             method="visibility",
+            storeys=StoreyConfig(overhead=0.0),
             navigation=NavigationConfig(),
             viewpoints=ViewpointConfig(),
             passages=PassageConfig(),

@@ -19,6 +19,7 @@ from topometric_ros.extraction.floor_gaps import close_gaps
 from topometric_ros.extraction.layers import refine_floor, storey_layers
 from topometric_ros.extraction.mapped_rooms import MappedRooms
 from topometric_ros.extraction.navigation import navigable_volume, on_storeys, unobstructed
+from topometric_ros.extraction.overhead import is_overhead
 from topometric_ros.extraction.passages import passages_of
 from topometric_ros.extraction.quality import Quality
 from topometric_ros.extraction.room_kinds import RoomClassifier, load_classifier
@@ -134,6 +135,9 @@ def _navigable(
     """Return the navigable volume: what was seen of it, and what closes its gaps."""
     grid, storeys, stick = scene.grid, scene.storeys, config.navigation
     free = unobstructed(grid, stick)
+    overhead = is_overhead(scene.columns)
+    if overhead.any():
+        free &= scene.per_voxel(overhead.astype(np.int32)) == 0
     navigable = navigable_volume(grid, stick, free)
     navigable = on_storeys(navigable, grid, storeys, stick)
     if way is not None:
@@ -182,8 +186,11 @@ def _rooms(
 
 def _map_storeys(scene: Scene, config: ExtractionConfig) -> tuple[Storey, ...]:
     """Describe the storeys with their bird's-eye layers."""
-    floors = [refine_floor(scene.points, s.floor, config.layers) for s in scene.storeys]
-    layers = storey_layers(scene.points, floors, config.layers)
+    # A ceiling seen from below is no floor of the storey above.
+    overhead = is_overhead(scene.columns)
+    points = scene.points[~overhead[scene.raster_of_point]] if overhead.any() else scene.points
+    floors = [refine_floor(points, s.floor, config.layers) for s in scene.storeys]
+    layers = storey_layers(points, floors, config.layers)
     return tuple(
         Storey(index, floor, found.ceiling if found.ceiling_seen else None, of_storey)
         for index, (floor, found, of_storey) in enumerate(

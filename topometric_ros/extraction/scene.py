@@ -14,12 +14,12 @@ from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.extent import anchor, moved_finding, without_islands, without_strays
 from topometric_ros.extraction.layers import refine_floor
 from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
+from topometric_ros.extraction.overhead import storeys_without_overhead
 from topometric_ros.extraction.quality import Finding
 from topometric_ros.extraction.storeys import (
     RASTER,
     StoreyHeights,
     assign_storeys,
-    find_storeys,
 )
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.voxels.grid import VoxelGrid, thin, voxelise
@@ -144,7 +144,7 @@ def _storeys(
     columns = sort_columns(raster.coords)
     count = np.bincount(raster_of_point)
     heights = np.bincount(raster_of_point, weights=points[:, 2]) / count
-    storeys = find_storeys(columns, heights, float(lattice[2]), config.storeys)
+    columns, storeys = storeys_without_overhead(columns, heights, float(lattice[2]), config.storeys)
     if not storeys:
         raise no_floor(points, config.level)
     return raster, raster_of_point, columns, heights, storeys

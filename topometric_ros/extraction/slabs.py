@@ -17,7 +17,7 @@ from topometric_ros.extraction.columns import NOTHING, Columns
 FREE = 10
 """Cells above or below a voxel that are free space beside a slab and no gap within it."""
 
-_SLAB = 5
+SLAB = 5
 """Cells from one face of a slab to the other, at most."""
 
 _SEARCH = 0.3
@@ -42,7 +42,7 @@ def floor_height(columns: Columns, heights: NDArray[np.float64], level: float) -
     m, or None where fewer than 100 voxels (1 m²) tell
     """
     facing = columns.above > FREE
-    sure = columns.below <= _SLAB
+    sure = columns.below <= SLAB
     alone = columns.below == NOTHING
     known = sure | (alone & (columns.above < NOTHING))
     found = _outermost(heights[facing & known] - level, heights[facing & (sure | alone)] - level)
@@ -60,7 +60,7 @@ def ceiling_height(
     following : height of the next floor, m, which the ceiling lies under; None for the last one
     """
     facing = columns.below > FREE
-    sure = columns.above <= _SLAB
+    sure = columns.above <= SLAB
     alone = columns.above == NOTHING
     known = sure | (alone & (columns.below < NOTHING))
     if following is not None:

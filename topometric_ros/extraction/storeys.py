@@ -93,6 +93,14 @@ class StoreyConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    overhead: float = parameter(
+        0.8,
+        "How much farther from walls a floor's part is than what lies free below it, where it is "
+        "rather the ceiling there, seen from below; 0: never.",
+        unit="m",
+        minimum=0.0,
+        maximum=10.0,
+    )
     usual_height: float = parameter(
         2.7, "Ceiling above the floor where none was seen.", unit="m", minimum=1.9, maximum=6.0
     )
