@@ -16,11 +16,10 @@ from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Ro
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, with_prior
 from topometric_ros.fusion.candidates import find_candidates
-from topometric_ros.fusion.ceilings import open_above
 from topometric_ros.fusion.config import SOURCES, MergeConfig
-from topometric_ros.fusion.consensus import consensus
-from topometric_ros.fusion.furniture import stands_as_before
+from topometric_ros.fusion.fine_pose import fine_pose
 from topometric_ros.fusion.gates import missed_gate, objection
+from topometric_ros.fusion.judge import judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
 from topometric_ros.fusion.prepared import Prepared
@@ -28,14 +27,12 @@ from topometric_ros.fusion.priors import Prior, parse_priors, prior_between
 from topometric_ros.fusion.registration import (
     Registration,
     RegistrationError,
-    register,
 )
 from topometric_ros.fusion.rivals import Judged
 from topometric_ros.fusion.scale import stretch, unlike_scale
-from topometric_ros.fusion.verification import Decision, decide, doubt_repeated
+from topometric_ros.fusion.verification import Decision
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate
-from topometric_ros.matching.likeness import likeness
 from topometric_ros.matching.propose import room_distances
 from topometric_ros.matching.search_fields import ScoringConfig
 from topometric_ros.stopwatch import Stopwatch
@@ -98,12 +95,11 @@ def _aligned(
     if prior is not None:
         candidates.append(candidate_of(prior, a, b, config))
     with watch.stage("evidence"):
-        judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, _scoring(config))) for c in candidates]
-        decision = decide(judged, config.verification, lambda c: _same_furniture(a, b, c, config))
+        judged, decision = judge(a, b, candidates, config)
         if prior is not None:
             judged, decision = decide_by_prior(judged, decision, prior, a, b, config)
         else:
-            decision = _unless_elsewhere(a, b, judged, decision, config)
+            decision = unless_elsewhere(a, b, judged, decision, config)
     alternatives = _alternatives(a, b, decision)
     if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
         refused = _refused(a, b, decision.status, decision.reason)
@@ -112,29 +108,6 @@ def _aligned(
             refused, alternatives=alternatives, confidence=decision.confidence, score=score
         )
     return _registered(a, b, judged[decision.best], decision, config, watch)
-
-
-def _unless_elsewhere(
-    a: Prepared, b: Prepared, judged: list[Judged], decision: Decision, config: MergeConfig
-) -> Decision:
-    """Doubt an accepted pose that may be another storey, or one room of which there are more.
-
-    The search for more of a room costs as much as that for the pose, so it is made for small parts
-    only.
-    """
-    if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
-        return decision
-    candidate, evidence = judged[decision.best]
-    limits = config.verification
-    contradiction = open_above(a.map, b.map, (a.fields, b.fields), candidate.T_a_b)
-    if contradiction is not None:
-        status = AlignmentStatus.REJECTED
-        return replace(decision, status=status, reason=contradiction.reason(), confidence=0.0)
-    small = evidence.free_floor < limits.repeated_floor
-    if not small or evidence.free_share >= limits.repeated_part:
-        return decision
-    share = likeness(a.fields, b.fields, candidate.T_a_b, _scoring(config))
-    return doubt_repeated(decision, evidence, share, limits)
 
 
 def _registered(
@@ -150,7 +123,7 @@ def _registered(
     alternatives = _alternatives(a, b, decision)
     try:
         with watch.stage("registration"):
-            result = _registration(a, b, candidate, config)
+            result = fine_pose(a, b, candidate, config)
     except RegistrationError as error:
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"registration failed: {error}")
         return replace(refused, alternatives=alternatives)
@@ -188,31 +161,6 @@ def _stretched(
     )
 
 
-def _registration(
-    a: Prepared, b: Prepared, candidate: Candidate, config: MergeConfig
-) -> Registration:
-    """Register the surfaces of both maps, or of each matched room first."""
-    T = candidate.T_a_b
-    if config.refinement == "consensus" and candidate.matches:
-        agreed = consensus(
-            a.map, b.map, a.surface, b.surface, T, candidate.matches, config.consensus
-        )
-        # The last word on error and covariance is the whole surface's, without moving the pose.
-        still = replace(config.registration, steps=1, gates=config.registration.gates[:1])
-        measured = register(b.surface, a.surface, agreed.T_a_b, still, a.tree)
-        return replace(measured, T_target_source=agreed.T_a_b)
-    return register(b.surface, a.surface, T, config.registration, a.tree)
-
-
-def _same_furniture(a: Prepared, b: Prepared, candidate: Candidate, config: MergeConfig) -> bool:
-    """Whether furniture that was not moved stands where it stood, once a pose is registered."""
-    try:
-        T = _registration(a, b, candidate, config).T_target_source
-    except RegistrationError:
-        return False
-    return stands_as_before((a.map, a.surface), (b.map, b.surface), T)
-
-
 def _believed(
     a: Prepared,
     b: Prepared,
@@ -226,7 +174,7 @@ def _believed(
     best = candidates[0]
     try:
         with watch.stage("registration"):
-            result = _registration(a, b, best, config)
+            result = fine_pose(a, b, best, config)
     except RegistrationError as error:
         return _refused(a, b, AlignmentStatus.NONE, f"registration failed: {error}")
     with watch.stage("evidence"):

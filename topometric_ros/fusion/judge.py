@@ -1,0 +1,104 @@
+"""Judging the candidate poses of two maps by all that the maps hold.
+
+`verification.decide` weighs numbers. What has to be looked up in the maps once more is asked here,
+and only where it matters: a fine pose where a rough one is refused, furniture to the centimetre,
+ceilings, and the same rooms elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from topometric_ros.alignment import AlignmentStatus
+from topometric_ros.fusion.ceilings import open_above
+from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.fusion.fine_pose import fine_pose
+from topometric_ros.fusion.furniture import stands_as_before
+from topometric_ros.fusion.poses import apart
+from topometric_ros.fusion.prepared import Prepared
+from topometric_ros.fusion.registration import RegistrationError
+from topometric_ros.fusion.rivals import Judged
+from topometric_ros.fusion.verification import Decision, decide, doubt_repeated
+from topometric_ros.matching.candidate import Candidate
+from topometric_ros.matching.evidence import evaluate
+from topometric_ros.matching.likeness import likeness
+
+
+def judge(
+    a: Prepared, b: Prepared, candidates: Sequence[Candidate], config: MergeConfig
+) -> tuple[list[Judged], Decision]:
+    """Return the candidates with their evidence, and what is decided.
+
+    A pose that is refused for what conflicts is judged once more where it was registered: a few
+    centimetres put walls into the other's free floor.
+    """
+    scoring = config.search.scoring
+    judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, scoring)) for c in candidates]
+    decision = _decide(a, b, judged, config)
+    finer = _registered_best(a, b, judged, decision, config)
+    if finer is None:
+        return judged, decision
+    return finer, _decide(a, b, finer, config)
+
+
+def unless_elsewhere(
+    a: Prepared, b: Prepared, judged: Sequence[Judged], decision: Decision, config: MergeConfig
+) -> Decision:
+    """Doubt an accepted pose that may be another storey, or one room of which there are more.
+
+    The search for more of a room costs as much as that for the pose, so it is made for small parts
+    only.
+    """
+    if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
+        return decision
+    candidate, evidence = judged[decision.best]
+    limits = config.verification
+    contradiction = open_above(a.map, b.map, (a.fields, b.fields), candidate.T_a_b)
+    if contradiction is not None:
+        status = AlignmentStatus.REJECTED
+        return replace(decision, status=status, reason=contradiction.reason(), confidence=0.0)
+    small = evidence.free_floor < limits.repeated_floor
+    if not small or evidence.free_share >= limits.repeated_part:
+        return decision
+    share = likeness(a.fields, b.fields, candidate.T_a_b, config.search.scoring)
+    return doubt_repeated(decision, evidence, share, limits)
+
+
+def _decide(a: Prepared, b: Prepared, judged: list[Judged], config: MergeConfig) -> Decision:
+    """Decide, and look at the furniture where that is asked."""
+
+    def same_furniture(candidate: Candidate) -> bool:
+        try:
+            T = fine_pose(a, b, candidate, config).T_target_source
+        except RegistrationError:
+            return False
+        return stands_as_before((a.map, a.surface), (b.map, b.surface), T)
+
+    return decide(judged, config.verification, same_furniture)
+
+
+def _registered_best(
+    a: Prepared, b: Prepared, judged: list[Judged], decision: Decision, config: MergeConfig
+) -> list[Judged] | None:
+    """Return the candidates with a refused best one registered; None where that changes nothing."""
+    if decision.status is not AlignmentStatus.REJECTED or decision.best is None:
+        return None
+    candidate, evidence = judged[decision.best]
+    conflicts = evidence.wall_conflict_cells + evidence.furniture_conflict_cells > 0
+    if not conflicts or evidence.value < config.verification.clear_gap:
+        return None
+    try:
+        T = fine_pose(a, b, candidate, config).T_target_source
+    except RegistrationError:
+        return None
+    if apart(T, candidate.T_a_b, np.array([evidence.centre])) > config.largest_correction:
+        return None
+    finer = evaluate(a.fields, b.fields, T, config.search.scoring)
+    if finer.value <= evidence.value:
+        return None
+    result = list(judged)
+    result[decision.best] = replace(candidate, T_a_b=T), finer
+    return result
