@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
 """Compare what describes rooms, how their neighbourhood enters, and growing hypotheses or not.
 
-    compare_matching.py PAIRS [PAIRS ...] [--sweeps]
+    compare_matching.py PAIRS [PAIRS ...]
 
 PAIRS holds folders of pairs with truth (a.ply, b.ply, truth.json, truth.npz) as `topometric
 simulate` writes them; pairs that share less than a tenth are left out. Each cloud is extracted once
 under preset default. Prints Markdown tables: precision / recall / F1 of the matches made by the
 descriptors alone (thesis eq. 52) and by the best grown hypothesis (§4.3.6), all pairs together; a
-match is right by the thesis' rule (§5.3). With --sweeps also w, t, c_max and the largest error.
+match is right by the thesis' rule (§5.3). Distances are standardised, with one row for the learned
+one; parameters are swept by `sweep_matching.py`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ from topometric_ros.evaluation.score_pair import ScoredAgent, matches_by_stage, 
 from topometric_ros.matching.config import (
     ContextConfig,
     DescriptorConfig,
-    GrowingConfig,
     MatchingConfig,
 )
 from topometric_ros.matching.descriptors import describe
@@ -62,7 +62,7 @@ LEARNED = ("learned",) if importlib.util.find_spec("onnxruntime") else ()
 """The learned descriptor is left out where its extra is not installed."""
 
 SCORED = DescriptorConfig(names=("engineered", "spectral", "shape", "topological", *LEARNED))
-_NONE = Alignment(("a", "b"), AlignmentStatus.NONE, "")
+NONE = Alignment(("a", "b"), AlignmentStatus.NONE, "")
 
 Pairs = list[tuple[ScoredAgent, ScoredAgent]]
 
@@ -71,19 +71,18 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("pairs", type=Path, nargs="+")
-    parser.add_argument("--sweeps", action="store_true")
     args = parser.parse_args()
     pairs = [pair for root in args.pairs for pair in _load(root)]
-    base = MatchingConfig()
+    base = replace(MatchingConfig(), distance="standardised", alone=1e6)
     rows = (
         (f"{name} | {context}", _with(base, names, CONTEXTS[context]))
         for name, names in DESCRIPTORS.items()
         if LEARNED or "learned" not in names
         for context in CONTEXTS
     )
-    _print("descriptor | context", rows, pairs)
-    if args.sweeps:
-        _print("parameter | value", _sweeps(base), pairs)
+    _print(
+        "descriptor | context", [*rows, ("shape, learned distance | none", MatchingConfig())], pairs
+    )
 
 
 def _load(root: Path) -> Pairs:
@@ -113,22 +112,6 @@ def _with(base: MatchingConfig, names: tuple[str, ...], context: ContextConfig) 
     return replace(base, descriptors=DescriptorConfig(names=names), context=context)
 
 
-def _sweeps(base: MatchingConfig) -> Iterable[tuple[str, MatchingConfig]]:
-    """Yield one changed parameter at a time."""
-    for weight in (0.1, 0.25, 0.5, 1.0):
-        for steps in (1, 2, 3):
-            context = ContextConfig("convolution", weight, steps)
-            yield f"w, t | {weight:g}, {steps}", replace(base, context=context)
-    for cost in (0.7, 1.0, 1.3, 1.6, 2.0, 1e6):
-        growing = replace(base.growing, cost_max=cost)
-        yield f"c_max | {cost:g}", replace(base, growing=growing)
-    for error in (0.1, 0.25, 0.5, 1.0, 2.5):
-        growing = replace(base.growing, error_increase_max=error)
-        yield f"Δe_max (m) | {error:g}", replace(base, growing=growing)
-    draft = GrowingConfig(cost_max=1e6, error_increase_max=2.5, seeds_per_room=0, passages=False)
-    yield "growing | as the draft has it", replace(base, growing=draft)
-
-
 def _print(head: str, rows: Iterable[tuple[str, MatchingConfig]], pairs: Pairs) -> None:
     print(f"\n{len(pairs)} pairs\n")
     print(f"| {head} | descriptors alone | F1 | grown | F1 |")
@@ -138,7 +121,7 @@ def _print(head: str, rows: Iterable[tuple[str, MatchingConfig]], pairs: Pairs) 
         for a, b in pairs:
             right = right_by_counterpart(a.overlap, b.overlap)
             size = len(a.overlap.found_ids), len(b.overlap.found_ids)
-            made = matches_by_stage(a.map, b.map, _NONE, config)
+            made = matches_by_stage(a.map, b.map, NONE, config)
             for stage in total:
                 total[stage] += match_counts(made[stage], right, *size)
         cells = [
