@@ -33,6 +33,7 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.fusion": ["*.onnx"],
+        f"{NAME}.matching": ["*.npy"],
         f"{NAME}.matching.descriptors": ["*.onnx"],
         f"{NAME}.schemas": ["msg/*.msg", "srv/*.srv"],
         f"{NAME}.visualization": ["*.html", "*.js", "*.css"],

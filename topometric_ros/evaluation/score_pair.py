@@ -93,7 +93,9 @@ def matches_by_stage(
     grown = candidates[0].matches if candidates else ()
     final = alignment.matches if alignment.accepted else ()
     return {
-        "assigned": [(large_a.rooms[i].id, large_b.rooms[j].id) for i, j, _ in assign(cost)],
+        "assigned": [
+            (large_a.rooms[i].id, large_b.rooms[j].id) for i, j, _ in assign(cost, config.alone)
+        ],
         "grown": [(match.room_a, match.room_b) for match in grown],
         "final": [(match.room_a, match.room_b) for match in final],
     }

@@ -121,6 +121,19 @@ class MatchingConfig:
     context: ContextConfig = field(default_factory=ContextConfig)
     growing: GrowingConfig = field(default_factory=GrowingConfig)
     choice: ChoiceConfig = field(default_factory=ChoiceConfig)
+    distance: str = parameter(
+        "learned",
+        "Distance of two rooms in feature space. standardised: each number by its deviation over "
+        "both maps (eq. 50); learned: of the descriptor shape by how much one room differs from "
+        "agent to agent, the others standardised.",
+        choices=("learned", "standardised"),
+    )
+    alone: float = parameter(
+        0.5,
+        "Assignment leaves rooms without a partner rather than match two that are farther apart in "
+        "feature space.",
+        minimum=0.0,
+    )
     smallest_room: float = parameter(
         1.0, "Rooms that cover less floor are not matched.", unit="m²", minimum=0.0
     )
@@ -146,6 +159,8 @@ def matching_preset(name: str) -> MatchingConfig:
                 cost_max=1e6, error_increase_max=2.5, seeds_per_room=0, passages=False
             ),
             choice=ChoiceConfig(rule="thesis"),
+            distance="standardised",
+            alone=1e6,
             smallest_room=0.0,
         )
     raise ConfigurationError(f"unknown preset {name!r}; known: default, thesis")

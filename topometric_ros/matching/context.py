@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.matching.config import ContextConfig, MatchingConfig
 from topometric_ros.matching.descriptors import MERGED, described, descriptors_of
+from topometric_ros.matching.room_distance import learned_features
 from topometric_ros.matching.room_graph import RoomGraph, room_graph
 from topometric_ros.topometric_map import TopometricMap
 
@@ -22,7 +21,9 @@ def embed_pair(
 
     Each descriptor is standardised over the rooms of both maps, so that no unit dominates, and
     divided by the square root of its length, so that no descriptor does. Two unlike rooms are then
-    about √2 apart, whatever the descriptors.
+    about √2 apart, whatever the descriptors. Where the distance is `learned`, the descriptor
+    `shape` is instead divided by how much one room's differs from agent to agent
+    (:mod:`topometric_ros.matching.room_distance`).
 
     Returns
     -------
@@ -35,11 +36,14 @@ def embed_pair(
     blocks = []
     for name, by_ratio in names:
         values = [entry.values for m in (a, b) if (entry := m.descriptor(name)) is not None]
-        blocks.append((_by_size(values[0], by_ratio), _by_size(values[1], by_ratio)))
-    both = np.concatenate(embed(blocks))
+        if config.distance == "learned" and name.removesuffix(MERGED) == "shape":
+            blocks.append((learned_features(values[0]), learned_features(values[1])))
+        else:
+            blocks.append(_standardised(*(_by_size(v, by_ratio) for v in values)))
+    both = [np.concatenate(of_one, axis=1) for of_one in zip(*blocks, strict=True)]
     return (
-        contextual(both[: len(a.rooms)], room_graph(a), config.context),
-        contextual(both[len(a.rooms) :], room_graph(b), config.context),
+        contextual(both[0] / np.sqrt(len(blocks)), room_graph(a), config.context),
+        contextual(both[1] / np.sqrt(len(blocks)), room_graph(b), config.context),
     )
 
 
@@ -63,25 +67,13 @@ def contextual(features: Features, graph: RoomGraph, config: ContextConfig) -> F
     return features
 
 
-def embed(
-    blocks: Sequence[tuple[Features, Features]], scales: Sequence[Features] | None = None
-) -> tuple[Features, Features]:
-    """Put the descriptors of two maps' rooms beside each other, each with the same weight.
-
-    Parameters
-    ----------
-    blocks : of each descriptor the numbers, of sizes their logarithms: (R_a, D) and (R_b, D)
-    scales : of each descriptor (D,) what its numbers are divided by; None: their deviation over the
-        rooms of both maps
-    """
-    features = []
-    for k, (of_a, of_b) in enumerate(blocks):
-        values = np.concatenate([of_a, of_b])
-        deviation = values.std(axis=0) if scales is None else scales[k]
-        scale = np.where(deviation > 1e-9, deviation, np.inf)
-        features.append((values - values.mean(axis=0)) / scale / np.sqrt(max(1, values.shape[1])))
-    both = np.concatenate(features, axis=1) / np.sqrt(len(blocks))
-    return both[: len(blocks[0][0])], both[len(blocks[0][0]) :]
+def _standardised(of_a: Features, of_b: Features) -> tuple[Features, Features]:
+    """Divide a descriptor by its deviation over the rooms of both maps, and by √ of its length."""
+    values = np.concatenate([of_a, of_b])
+    deviation = values.std(axis=0)
+    scale = np.where(deviation > 1e-9, deviation, np.inf) * np.sqrt(max(1, values.shape[1]))
+    middle = values.mean(axis=0)
+    return (of_a - middle) / scale, (of_b - middle) / scale
 
 
 def _by_size(values: NDArray[np.float32], by_ratio: bool) -> Features:

@@ -147,10 +147,17 @@ def grow(
 
 
 def grow_all(
-    cost: NDArray[np.float64], graph_a: RoomGraph, graph_b: RoomGraph, config: GrowingConfig
+    cost: NDArray[np.float64],
+    graph_a: RoomGraph,
+    graph_b: RoomGraph,
+    config: GrowingConfig,
+    alone: float = np.inf,
 ) -> list[Hypothesis]:
-    """Grow every initial match afresh: the assignment's and each room's nearest, if configured."""
-    seeds = assign(cost)
+    """Grow every initial match afresh: the assignment's and each room's nearest, if configured.
+
+    `alone` is the distance from which on the assignment leaves rooms without a partner.
+    """
+    seeds = assign(cost, alone)
     if config.seeds_per_room:
         known = {(i, j) for i, j, _ in seeds}
         for i in range(len(graph_a)):

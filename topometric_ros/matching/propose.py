@@ -37,7 +37,7 @@ def propose_from_rooms(
         return []
     graph_a, graph_b = room_graph(a), room_graph(b)
     cost = cost_matrix(*embed_pair(a, b, config))
-    hypotheses = grow_all(cost, graph_a, graph_b, config.growing)
+    hypotheses = grow_all(cost, graph_a, graph_b, config.growing, config.alone)
     candidates: list[Candidate] = []
     for hypothesis in choose(hypotheses, graph_a, graph_b, config.growing, config.choice):
         for T_a_b in _poses(hypothesis, graph_a, graph_b, config):
