@@ -4,7 +4,10 @@
 
 Starts an extractor for each simulated agent and one merger as processes. Every agent publishes its
 growing map four times, one agent after the other, `--period` seconds apart. Then a second merger
-joins late, and what was recorded is replayed. Prints Markdown tables and writes OUT/fleet.json.
+joins late, and what was recorded is replayed. Prints what it measures and writes OUT/fleet.json.
+
+An alignment counts as made with a cloud when alignments are published that are of the cloud's map:
+what was accepted before is checked against it, what was not is searched anew a few pairs at a time.
 """
 
 from __future__ import annotations
@@ -63,6 +66,7 @@ class Run:
     """One fleet and what was seen of it."""
 
     def __init__(self, own: Any, options: argparse.Namespace) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
         from sensor_msgs.msg import PointCloud2
         from topometric_msgs.msg import AlignmentArray, TopometricMap
 
@@ -80,6 +84,9 @@ class Run:
             for name in self.names
         }
         self.alignments = Recorder(own, AlignmentArray, "/alignments", qos.SNAPSHOT)
+        self.diagnostics = Recorder(own, DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+        self.live: Any = None
+        """The alignments that the fleet's own merger ended with."""
         self.publishers = {
             name: own.node.create_publisher(PointCloud2, f"/{name}/cloud", qos.CLOUD_RELIABLE)
             for name in self.names
@@ -126,6 +133,18 @@ class Run:
             )
 
         assert until(finished, WORK_S), "the merger did not take every map"
+        begin = time.time_ns()
+        assert until(lambda: self.waiting(begin) == 0, WORK_S), "pairs went on waiting"
+        self.live = self.alignments.last()
+
+    def waiting(self, since: int) -> int | None:
+        """Return how many pairs the merger has still to align, as last told since a time (ns)."""
+        for at, message in reversed(self.diagnostics.messages()[-40:]):
+            told = [s for s in message.status if s.name == "/merger: merge"]
+            values = {entry.key: entry.value for status in told for entry in status.values}
+            if "pairs waiting" in values and at > since + 1_500_000_000:
+                return int(values["pairs waiting"])
+        return None
 
     def latencies(self) -> tuple[list[float], list[float], int]:
         """Return the seconds from a cloud to its map, and to an alignment made with it; and how
@@ -174,7 +193,7 @@ def joined_late(run: Run, adopt: bool) -> dict[str, Any]:
     from topometric_ros.nodes import qos
 
     namespace = f"/late_{'adopting' if adopt else 'alone'}"
-    there = run.alignments.last()
+    there = run.live
     # It reads what the first one says, and publishes under the same name after that.
     remap = ("-r", "alignments:=/alignments") if adopt else ()
     seen: list[tuple[float, Any]] = []
@@ -184,29 +203,31 @@ def joined_late(run: Run, adopt: bool) -> dict[str, Any]:
 
     topic = "/alignments" if adopt else f"{namespace}/alignments"
     subscription = run.own.node.create_subscription(AlignmentArray, topic, take, qos.SNAPSHOT)
+    start = time.monotonic()
     process = run.merger(namespace, *remap, "-p", f"adopt:={str(adopt).lower()}")
     begin: list[float] = []
 
-    def same() -> bool:
-        if not begin and "subscribing" not in process.log and process_knows(run, namespace):
+    def same() -> list[tuple[float, Any]]:
+        if not begin and process_knows(run, namespace):
             begin.append(time.monotonic())
-        return any(
-            stamp_of(m) > stamp_of(there)
+        return [
+            (at, m)
+            for at, m in list(seen)
+            if stamp_of(m) > stamp_of(there)
             and len(m.agents) == len(there.agents)
             and accepted(m) >= accepted(there)
-            for _, m in seen
-        )
+        ]
 
     done = until(same, WORK_S)
-    at, array = seen[-1]
+    at, array = (same() or seen)[0]
     cpu = cpu_seconds(process.pid)
     process.stop()
     run.own.node.destroy_subscription(subscription)
-    started = begin[0] if begin else at
     return {
         "adopting": adopt,
         "same alignments": done and accepted(array) == accepted(there),
-        "seconds from its first sight of the maps": round(at - started, 2),
+        "seconds from its first sight of the maps": round(at - (begin or [at])[0], 2),
+        "seconds from the start of its process": round(at - start, 2),
         "CPU seconds of the merger, start included": round(cpu, 2),
         "largest difference mm": round(largest_difference(there, array), 4),
     }
@@ -244,7 +265,7 @@ def replayed(run: Run, alignments: bool) -> dict[str, Any]:
     command += [f"{name}={bag}:/{name}/topometric_map" for name in run.names]
     subprocess.run([*command, "-o", str(out)], check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
     told = json.loads((out / "merge.json").read_text())
-    live = run.alignments.last()
+    live = run.live
     pairs = {tuple(x["agents"]): x for x in told["alignments"]}
     same = sum(
         (x.status == x.ACCEPTED) == (pairs[x.agent_a, x.agent_b]["status"] == "accepted")
@@ -304,15 +325,18 @@ def measure(run: Run, content: dict[str, Any]) -> None:
         "wall s": round(wall, 1),
         "cloud to map s, median and 95 %": [quantile(to_map, q) for q in (0.5, 0.95)],
         "cloud to alignment s, median and 95 %": [quantile(to_alignment, q) for q in (0.5, 0.95)],
-        "merges": len(run.alignments.raw),
+        "last cloud to all pairs aligned anew s": round(
+            time.time() - max(run.sent.values()) / 1e9, 1
+        ),
+        "alignments published": len(run.alignments.raw),
         "CPU s an extractor": float(np.mean([cpu_seconds(pid) for pid in extractors])),
         "CPU s of the merger": cpu_seconds(merger),
         "MiB an extractor": float(np.mean([memory_mib(pid, "VmHWM") for pid in extractors])),
         "MiB of the merger": memory_mib(merger, "VmHWM"),
         "kB a map message": float(np.mean(sizes)) / 1e3,
         "kB an agent a minute": sum(sizes) / 1e3 / len(run.names) / (wall / 60),
-        "pairs accepted": accepted(run.alignments.last()),
-        "agents placed": placed(run.alignments.last()),
+        "pairs accepted": accepted(run.live),
+        "agents placed": placed(run.live),
         "load at the end": processor(),
     }
     print(json.dumps(content, indent=1), flush=True)

@@ -15,7 +15,7 @@ from topometric_ros.fusion.align import Prepared
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import MOST_AGENTS
 from topometric_ros.io.bag_messages import message_classes
-from topometric_ros.runtime import merger_session, pair_aligner
+from topometric_ros.runtime import pair_aligner, pairs
 from topometric_ros.runtime.alignment_codec import alignments_to_message, offers_from_message
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_session import MergerSession
@@ -168,11 +168,12 @@ def test_an_alignment_that_was_withdrawn_may_change_freely(monkeypatch: pytest.M
         asked.append(old)
         return new, held
 
-    monkeypatch.setattr(merger_session, "steadier", steady)
+    monkeypatch.setattr(pairs, "steadier", steady)
     (accepted,) = result.alignments
     assert accepted.accepted
     withdrawn = dataclasses.replace(accepted, status=AlignmentStatus.WITHDRAWN)
-    merger.result = dataclasses.replace(result, alignments=(withdrawn,))
+    assert merger.placed is not None
+    merger.placed = dataclasses.replace(merger.placed, alignments=(withdrawn,))
     merger.add_map(dataclasses.replace(flat_map("b", 1), sequence=2))
     merger.merge()
     assert asked == []
@@ -186,7 +187,9 @@ def test_an_accepted_alignment_changes_only_for_a_better_one() -> None:
     config = MergeConfig(check="none")
     one, two = (Prepared(m, config.search.scoring, config.matching) for m in (a, b))
     right = Alignment(("a", "b"), AlignmentStatus.ACCEPTED, "", np.eye(4), overlap=0.9, score=1.0)
-    held, support = steadier(right, 1e9, right, one, two, config)
+    refused = Alignment(("a", "b"), AlignmentStatus.AMBIGUOUS, "two poses")
+    held, support = steadier(right, 1e9, refused, one, two, config)
+    np.testing.assert_array_equal(held.T_a_b, np.eye(4))
     value = held.score
     assert support == 1e9
     assert value > 0
@@ -198,10 +201,9 @@ def test_an_accepted_alignment_changes_only_for_a_better_one() -> None:
     assert steadier(right, 1e9, clearly, one, two, config)[0] is clearly
     # More evidence counts as better where the answer stays the same.
     assert steadier(right, 100.0, slightly, one, two, config)[0] is slightly
-    refused = Alignment(("a", "b"), AlignmentStatus.AMBIGUOUS, "two poses")
-    np.testing.assert_array_equal(
-        steadier(right, 1e9, refused, one, two, config)[0].T_a_b, np.eye(4)
-    )
+    # What no map could tell apart is one: a fleet's result depends on its maps alone.
+    same = dataclasses.replace(right, T_a_b=yaw_transform(0.001), score=0.95 * value)
+    assert steadier(right, 1e9, same, one, two, config)[0] is same
 
 
 def test_an_alignment_that_no_longer_holds_gives_way() -> None:
@@ -216,13 +218,16 @@ def test_an_alignment_that_no_longer_holds_gives_way() -> None:
     assert steadier(wrong, 1e9, refused, one, two, config)[0] is refused
 
 
-def test_pairs_that_are_aligned_side_by_side_come_out_the_same() -> None:
+def test_pairs_that_are_aligned_in_turns_and_side_by_side_come_out_the_same() -> None:
     results = []
-    for threads in (1, 3):
+    for threads, limit in ((1, None), (3, 2)):
         merger = MergerSession(MergeConfig(), ["a", "b", "c"], threads)
         for index, agent in enumerate("abc"):
             merger.add_map(flat_map(agent, index))
-        results.append(merger.merge())
+        merger.align(limit)
+        assert merger.waiting == (0 if limit is None else 1)
+        merger.align(limit)
+        results.append(merger.fuse())
     one, three = results
     assert [x.agents for x in three.alignments] == [("a", "b"), ("a", "c"), ("b", "c")]
     for x, y in zip(one.alignments, three.alignments, strict=True):

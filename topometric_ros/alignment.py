@@ -18,6 +18,8 @@ from topometric_ros.topometric_map import TopometricMap
 MERGE_SCHEMA = "topometric-merge/1"
 BY_HAND = "set by hand"
 """The reason of an alignment that an operator has fixed."""
+WAITING = "the newest maps are not compared yet"
+"""How the reason of a verdict ends that is of older maps than those held, or of none at all."""
 
 
 class AlignmentStatus(StrEnum):
@@ -124,6 +126,18 @@ class GlobalMap:
     agents: NDArray[np.uint32]
     rooms_of: Mapping[int, tuple[tuple[int, int], ...]] = field(default_factory=dict)
     changes: tuple[Change, ...] = ()
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where the agents stand and why: what merging finds before it fuses the maps."""
+
+    global_frame: str
+    agents: tuple[AgentPlacement, ...]
+    alignments: tuple[Alignment, ...]
+    warnings: tuple[str, ...] = ()
+    timings: dict[str, float] = field(default_factory=dict)
+    """CPU seconds by stage."""
 
 
 @dataclass(frozen=True)

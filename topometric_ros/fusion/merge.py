@@ -15,6 +15,7 @@ from topometric_ros.alignment import (
     AlignmentStatus,
     Alternative,
     MergeResult,
+    Placed,
     RoomMatch,
 )
 from topometric_ros.errors import TopometricError
@@ -67,38 +68,79 @@ def merge(
         A parameter makes no sense, a prior for one.
     """
     _check(maps)
-    priors = parse_priors(config.priors)
+    parse_priors(config.priors)
     watch = Stopwatch()
     prepared = [Prepared(m, config.search.scoring, config.matching) for m in maps]
-    alignments = []
+    given = dict(known or {})
     for a, b in itertools.combinations(prepared, 2):
         pair = (a.map.agent, b.map.agent)
-        alignment = _given(fixed or {}, pair) or _given(known or {}, pair)
-        if alignment is None:
+        if _given(fixed or {}, pair) is None and _given(given, pair) is None:
             if progress is not None:
                 progress(f"aligning {a.map.agent} and {b.map.agent}")
-            alignment = align(a, b, config, watch)
-        alignments.append(alignment)
+            given[pair] = align(a, b, config, watch)
+    placed = place(maps, config, given, sources=sources, fixed=fixed)
+    if progress is not None:
+        progress("fusing the aligned maps")
+    return fused(maps, dataclasses.replace(placed, timings=watch.seconds), config)
+
+
+def place(
+    maps: Sequence[TopometricMap],
+    config: MergeConfig,
+    known: Mapping[Pair, Alignment],
+    *,
+    sources: Mapping[str, str] | None = None,
+    fixed: Mapping[Pair, Alignment] | None = None,
+) -> Placed:
+    """Group agents by their alignments and say where each one stands, without fusing anything.
+
+    Parameters
+    ----------
+    maps, config, sources, fixed : as for :func:`merge`
+    known : the alignment of every pair that is not in `fixed`, by pair in either order
+
+    Raises
+    ------
+    MergeError
+        No map, more than 32, or two of one agent.
+    ConfigurationError
+        A prior makes no sense.
+    """
+    _check(maps)
+    priors = parse_priors(config.priors)
     agents = [m.agent for m in maps]
+    alignments = [
+        _given(fixed or {}, pair) or _given(known, pair)
+        for pair in itertools.combinations(agents, 2)
+    ]
     by_hand = frozenset(pair for x, y in (fixed or {}) for pair in ((x, y), (y, x)))
     levels = {m.agent: m.T_level_input for m in maps}
-    groups = group_agents(agents, alignments, config.groups, by_hand, _centres(maps), levels)
+    groups = group_agents(
+        agents, [x for x in alignments if x], config.groups, by_hand, _centres(maps), levels
+    )
     places = _placements(maps, groups, sources or {})
-    with watch.stage("fusion"):
-        if progress is not None:
-            progress("fusing the aligned maps")
-        transforms = [place.T_global_agent for place in places]
-        global_map = fuse(maps, transforms, config.fuse, config.global_frame)
-    return MergeResult(
+    return Placed(
         global_frame=config.global_frame,
         agents=places,
         alignments=groups.alignments,
+        warnings=(*_warnings(maps), *_contradicted(places, priors)),
+    )
+
+
+def fused(maps: Sequence[TopometricMap], placed: Placed, config: MergeConfig) -> MergeResult:
+    """Fuse the maps of agents that :func:`place` has placed, in the same order."""
+    watch = Stopwatch()
+    watch.seconds |= placed.timings
+    with watch.stage("fusion"):
+        transforms = [agent.T_global_agent for agent in placed.agents]
+        global_map = fuse(maps, transforms, config.fuse, placed.global_frame)
+    changes = told(global_map.changes, [m.agent for m in maps])
+    return MergeResult(
+        global_frame=placed.global_frame,
+        agents=placed.agents,
+        alignments=placed.alignments,
         global_map=global_map,
-        warnings=(
-            *_warnings(maps),
-            *_contradicted(places, priors),
-            *told(global_map.changes, agents),
-        ),
+        warnings=(*placed.warnings, *changes),
         timings=watch.seconds,
     )
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from threading import RLock
+from typing import Any, TypeVar
 
 from scipy.spatial import cKDTree
 
@@ -14,47 +16,57 @@ from topometric_ros.matching.descriptors import described
 from topometric_ros.matching.search_fields import MapFields, ScoringConfig, prepare
 from topometric_ros.topometric_map import TopometricMap
 
+MadeT = TypeVar("MadeT")
+
 _SAME_SIZE = 1.01
 """Factor up to which two voxel sizes are one."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A map and what aligning makes of it, made once however many maps it is aligned with."""
+    """A map and what aligning makes of it, made once however many maps it is aligned with.
+
+    Several threads may ask at the same time: what two of them need is made by the first.
+    """
 
     map: TopometricMap
     scoring: ScoringConfig
     matching: MatchingConfig
+    _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _lock: RLock = field(default_factory=RLock, init=False, repr=False, compare=False)
 
     def at(self, voxel_size: float) -> Prepared:
         """Return the map at a coarser voxel size (m), made once; itself where it is no finer."""
         if voxel_size <= _SAME_SIZE * self.map.voxel_size:
             return self
-        if voxel_size not in self._coarser:
-            coarse = Prepared(coarsened(self.map, voxel_size), self.scoring, self.matching)
-            self._coarser[voxel_size] = coarse
-        return self._coarser[voxel_size]
+        return self._once(
+            voxel_size,
+            lambda: Prepared(coarsened(self.map, voxel_size), self.scoring, self.matching),
+        )
 
-    @cached_property
-    def _coarser(self) -> dict[float, Prepared]:
-        return {}
-
-    @cached_property
+    @property
     def described(self) -> TopometricMap:
         """The map with the descriptors that the configuration asks for."""
-        return described(self.map, self.matching)
+        return self._once("described", lambda: described(self.map, self.matching))
 
-    @cached_property
+    @property
     def fields(self) -> MapFields:
         """The storeys' lookup tables."""
-        return prepare(self.map, self.scoring)
+        return self._once("fields", lambda: prepare(self.map, self.scoring))
 
-    @cached_property
+    @property
     def surface(self) -> Surface:
         """Points and normals, level frame."""
-        return surface_of(self.map)
+        return self._once("surface", lambda: surface_of(self.map))
 
-    @cached_property
+    @property
     def tree(self) -> cKDTree:
         """Tree of the surface's points."""
-        return cKDTree(self.surface.points)
+        return self._once("tree", lambda: cKDTree(self.surface.points))
+
+    def _once(self, key: Hashable, make: Callable[[], MadeT]) -> MadeT:
+        with self._lock:
+            if key not in self._made:
+                self._made[key] = make()
+            made: MadeT = self._made[key]
+            return made

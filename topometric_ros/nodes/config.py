@@ -130,7 +130,11 @@ class MergerNodeConfig:
         "default", "Defaults of all parameters of the merging.", choices=PRESETS
     )
     max_rate: float = parameter(
-        0.5, "Merges a second at most.", unit="Hz", minimum=0.001, maximum=100.0
+        0.5,
+        "How often alignments are published at most, and the global map beside them.",
+        unit="Hz",
+        minimum=0.001,
+        maximum=100.0,
     )
     tf_rate: float = parameter(
         10.0, "Rate at which /tf is stamped anew.", unit="Hz", minimum=0.1, maximum=1000.0
@@ -143,8 +147,8 @@ class MergerNodeConfig:
     )
     state_file: str = parameter(
         "",
-        "File that keeps maps, alignments and what was set by hand across a restart; written after "
-        "each merge, read at the start. Empty: nothing is kept.",
+        "File that keeps maps, alignments and what was set by hand across a restart; written when "
+        "alignments are published, read at the start. Empty: nothing is kept.",
     )
 
 

@@ -5,44 +5,43 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import OccupancyGrid
-from numpy.typing import NDArray
-from rclpy.time import Time
-from sensor_msgs.msg import PointCloud2
 from topometric_msgs.msg import AlignmentArray
 from topometric_msgs.msg import TopometricMap as MapMessage
-from visualization_msgs.msg import MarkerArray
 
-from topometric_ros.alignment import MergeResult
+from topometric_ros.alignment import WAITING
 from topometric_ros.errors import TopometricError
 from topometric_ros.fusion.config import MergeConfig, merge_preset
-from topometric_ros.nodes import parameters, qos, tf
+from topometric_ros.nodes import parameters, qos
 from topometric_ros.nodes.agent_names import parse_agents
 from topometric_ros.nodes.config import MergerNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
-from topometric_ros.nodes.grids import GridError, storey_grid
-from topometric_ros.nodes.markers import map_markers
+from topometric_ros.nodes.merger_output import MergerOutput, Shown
+from topometric_ros.nodes.merger_places import Places
 from topometric_ros.nodes.merger_report import MergerReport
 from topometric_ros.nodes.merger_services import serve
 from topometric_ros.nodes.merger_state import StateKeeper
 from topometric_ros.nodes.messages import message_classes
 from topometric_ros.nodes.roster import Roster
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
-from topometric_ros.nodes.worker import Inbox, Worker
-from topometric_ros.runtime.alignment_codec import alignments_to_message, offers_from_message
-from topometric_ros.runtime.cloud_message import map_cloud
+from topometric_ros.nodes.worker import Inbox, Pace, Worker
+from topometric_ros.runtime.alignment_codec import offers_from_message
 from topometric_ros.runtime.extractor_session import SessionError
-from topometric_ros.runtime.frames import published_frames, transforms_message
 from topometric_ros.runtime.merger_session import MergerSession
-from topometric_ros.runtime.message_codec import ReceivedMap, map_from_message, map_to_message
-from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.runtime.message_codec import ReceivedMap, map_from_message
 
 _PACE_S = 0.2
 _REPORT_S = 1.0
+_BREATH_S = 0.005
+
+_OFFERS_S = 3.0
+"""How long another merger's alignments are waited for at the start, where there is one."""
+
+_TELLING_SHARE = 0.5
+_FUSING_SHARE = 0.3
+"""Of the time, at most, that publishing alignments and fusing maps take."""
 
 _CHANGEABLE_OF_NODE = (
     "max_rate",
@@ -75,10 +74,11 @@ class Merger(TopometricNode):
         self.report = MergerReport(self.roster.reports)
         self.session = MergerSession(self._wanted, tuple(self._listed), self._own.max_threads)
         self.fresh = False
-        self._last_merge = -float("inf")
-        self._grid_failure = ""
-        self._placed: dict[str, NDArray[np.float64]] = {}
-        self._frames: dict[str, str] = {}
+        self._more = False
+        self._said: dict[tuple[str, str], tuple[str, str]] = {}
+        self._told: Hashable = None
+        self._fused = Shown()
+        self._telling, self._fusing = Pace(_TELLING_SHARE), Pace(_FUSING_SHARE)
         self._stale: tuple[str, ...] = ()
         self._others: Inbox[AlignmentArray] = Inbox(1)
         self._keeper = StateKeeper(self._own.state_file, self.get_logger())
@@ -86,13 +86,9 @@ class Merger(TopometricNode):
         self.fresh = bool(self.session.maps)
         for topic in self.session.sources.values():
             self.roster.recall(topic)
-        self._maps = self.create_publisher(MapMessage, "global_map", qos.SNAPSHOT)
-        self._cloud = self.create_publisher(PointCloud2, "global_cloud", qos.SNAPSHOT)
-        self._grid = self.create_publisher(OccupancyGrid, "global_grid", qos.SNAPSHOT)
-        self._alignments = self.create_publisher(AlignmentArray, "alignments", qos.SNAPSHOT)
-        self._markers = self.create_publisher(MarkerArray, "global_markers", qos.SNAPSHOT)
+        self._out = MergerOutput(self, self._classes)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
-        self._transforms = tf.create_publisher(self)
+        self._places = Places(self)
         listed = ", ".join(self._listed) or "every agent that is found"
         self.get_logger().info(f"merger of {listed}")
 
@@ -107,13 +103,14 @@ class Merger(TopometricNode):
 
     def _begin(self) -> None:
         self._worker = Worker(self._work, self.failed)
+        self._begun, self._offered = time.monotonic(), False
         if self._own.adopt:
             name = self.resolve_topic_name("alignments")
-            self.create_subscription(AlignmentArray, name, self._others.put, qos.SNAPSHOT)
+            self.create_subscription(AlignmentArray, name, self._hear, qos.SNAPSHOT)
         self.roster.listen()
         serve(self)
         self.every(_PACE_S, self._tick)
-        self.create_timer(1.0 / self._own.tf_rate, self._publish_transforms)
+        self.create_timer(1.0 / self._own.tf_rate, self._places.publish)
         self.every(_REPORT_S, self._look)
 
     def _stop_work(self, limit_s: float) -> bool:
@@ -123,17 +120,32 @@ class Merger(TopometricNode):
         self._own, self._wanted = configs
 
     def _tick(self) -> None:
-        if self.fresh or any(map(len, self.roster.inboxes.values())):
+        if self.fresh or self._more or any(map(len, self.roster.inboxes.values())):
             self._worker.wake()
 
+    def _hear(self, message: AlignmentArray) -> None:
+        if not self._out.is_own(message):
+            self._others.put(message)
+
     def _work(self) -> None:
-        """Take in what has arrived and, when it is time, merge and publish."""
+        """Take in what has arrived, go on aligning, and publish what it is time for."""
         with self.working:
+            # Where this fails, it is not tried again before something new arrives.
+            self._more = False
             self.take_in()
             self._mark_gone()
-            due = time.monotonic() - self._last_merge >= 1.0 / self._own.max_rate
-            if self.fresh and due:
-                self.merge()
+            expected = self._offers_expected()
+            if self.fresh or self.session.waiting:
+                # Whether what is known holds for new maps is told before anything is searched.
+                check_only = self.fresh or expected
+                self.fresh = False
+                self._align(0 if check_only else self._own.max_threads)
+            left = self.session.placed is not None and self._publish_due()
+            self._more = left or self.session.waiting > 0
+        if self.session.waiting and not expected:
+            # A service that waits for its turn gets it here.
+            time.sleep(_BREATH_S)
+            self._worker.wake()
 
     def take_in(self) -> None:
         """Take the maps that have arrived, and what another merger says of them."""
@@ -142,7 +154,7 @@ class Merger(TopometricNode):
                 self._take_map(agent, message)
         for message in self._others.take_all():
             self._take_alignments(message)
-        self.place()
+        self._places.note(self.session, self._wanted.global_frame)
 
     def _take_map(self, agent: str, message: MapMessage) -> None:
         """Give a map to the session, or refuse it with one line in the log."""
@@ -165,6 +177,7 @@ class Merger(TopometricNode):
     def _take_alignments(self, message: AlignmentArray) -> None:
         try:
             self.session.offer(offers_from_message(message))
+            self._offered = True
         except TopometricError as error:
             self.get_logger().warning(f"alignments of another merger are not used: {error}")
 
@@ -180,73 +193,75 @@ class Merger(TopometricNode):
         if m.agent in heard or m.agent in self.roster.listed:
             raise SessionError(f"a map of agent {m.agent!r}, whose maps come on another topic")
 
-    def merge(self) -> None:
-        """Merge and publish; raises what the session raises."""
-        self.fresh = False
-        self._last_merge = time.monotonic()
+    def _align(self, limit: int | None) -> None:
         self.session.config, self.session.threads = self._wanted, self._own.max_threads
-        former = self.report.result.alignments if self.report.result else ()
-        said = {(x.agents, x.status, x.reason) for x in former}
-        result = self.session.merge()
-        self.report.result, self.report.failure = result, ""
-        for x in result.alignments:
-            if (x.agents, x.status, x.reason) not in said:
+        placed = self.session.align(limit)
+        self.report.placed, self.report.waiting = placed, self.session.waiting
+        self.report.failure = ""
+        for x in placed.alignments:
+            said = (x.status, x.reason)
+            if self._said.get(x.agents) != said and not x.reason.endswith(WAITING):
                 self.get_logger().info(f"{' and '.join(x.agents)}: {x.status}: {x.reason}")
-        self.place()
-        self._publish(result)
+                self._said[x.agents] = said
+        self._places.note(self.session, self._wanted.global_frame)
+
+    def _offers_expected(self) -> bool:
+        """Whether another merger is there whose alignments have not arrived yet."""
+        early = time.monotonic() - self._begun < _OFFERS_S
+        return self._own.adopt and early and not self._offered and self._out.others_publish()
+
+    def _publish_due(self) -> bool:
+        """Publish what has changed and what it is time for; return whether something is left."""
+        shown = self._shown()
+        told = shown.alignments == self._told
+        if not told and self._telling.due():
+            with self._telling.step(self._own.max_rate):
+                self._tell()
+            told = True
+        # A map of places that are known better waits until no pair does; one of new maps does not.
+        settled = shown.places == self._fused.places or self.session.waiting > 0
+        fused = shown.maps == self._fused.maps and settled
+        if not fused and self._fusing.due():
+            with self._fusing.step(self._own.max_rate):
+                self._fuse()
+            fused = True
+        return not (told and fused)
+
+    def _shown(self) -> Shown:
+        return Shown.of(self.session, sorted({*self.session.stale, *self._stale}))
+
+    def _tell(self) -> None:
+        self._told = self._shown().alignments
+        if self.session.placed is not None:
+            stale = sorted({*self.session.stale, *self._stale})
+            self._out.publish_alignments(self.session.placed, self.session.maps, stale)
+        self.remember()
+
+    def _fuse(self) -> None:
+        self._fused = self._shown()
+        self._out.publish_map(self.session.fuse(), self._own.grid_storey)
+
+    def merge(self) -> None:
+        """Align all that waits, fuse and publish; raises what the session raises."""
+        self.fresh = False
+        self._align(None)
+        self._fuse()
+        self._tell()
+
+    def start_over(self) -> None:
+        """Forget all maps and alignments; the caller holds `working`."""
+        self.roster.clear()
+        self.session.reset()
+        self.fresh = False
+        self.report = MergerReport(self.roster.reports)
+        self._told, self._fused = None, Shown()
+        self._said.clear()
+        self._places.note(self.session, self._wanted.global_frame)
         self.remember()
 
     def remember(self) -> None:
         """Write the state file, if there is one; the caller holds `working`."""
         self.report.unsaved = self._keeper.keep(self.session)
-
-    def _publish(self, result: MergeResult) -> None:
-        fused = result.global_map
-        observers = tuple(agent.id for agent in result.agents)
-        stamp = Time(nanoseconds=fused.map.stamp).to_msg()
-        self._maps.publish(map_to_message(fused.map, self._classes, fused.agents, observers))
-        self._cloud.publish(map_cloud(fused.map, self._classes, fused.map.stamp, fused.agents))
-        self._markers.publish(map_markers(fused.map, stamp))
-        self._publish_grid(fused.map)
-        self._publish_alignments(result)
-
-    def _publish_alignments(self, result: MergeResult) -> None:
-        now, maps = self.get_clock().now().nanoseconds, self.session.maps
-        stale = {*self.session.stale, *self._stale}
-        message = alignments_to_message(result, self._classes, now, maps, sorted(stale))
-        self._alignments.publish(message)
-
-    def _publish_grid(self, m: TopometricMap) -> None:
-        try:
-            grid = storey_grid(m, self._own.grid_storey, self._wanted.global_frame)
-        except GridError as error:
-            if str(error) != self._grid_failure:
-                self.get_logger().error(str(error))
-            self._grid_failure = str(error)
-            return
-        self._grid_failure = ""
-        if grid is not None:
-            self._grid.publish(grid)
-
-    def place(self) -> None:
-        """Note the transforms to publish: those of agents whose place is known now."""
-        own = {agent: m.frame_id for agent, m in self.session.maps.items()}
-        frames = published_frames(own, self._wanted.global_frame)
-        for agent, frame in frames.items():
-            if frame != own[agent] and self._frames.get(agent) != frame:
-                self.get_logger().warning(
-                    f"{agent}: its map frame's name {own[agent]} is in use already; on /tf it is "
-                    f"{frame}"
-                )
-        self._frames, self._placed = frames, self.session.transforms()
-
-    def _publish_transforms(self) -> None:
-        placed, frames = self._placed, self._frames
-        if placed:
-            now, parent = self.get_clock().now().nanoseconds, self._wanted.global_frame
-            known = {agent: T for agent, T in placed.items() if agent in frames}
-            message = transforms_message(self._classes, now, parent, known, frames)
-            self._transforms.publish(message)
 
     def failed(self, error: Exception) -> None:
         """Report what went wrong in the worker; the session keeps the result that it had."""
@@ -280,10 +295,7 @@ class Merger(TopometricNode):
         for agent in sorted({*stale} ^ {*self._stale}):
             what = "its extractor is gone" if agent in stale else "its extractor is there again"
             self.get_logger().warning(f"{agent}: {what}")
-        if stale != self._stale:
-            self._stale = stale
-            if self.report.result is not None and not self.fresh:
-                self._publish_alignments(self.report.result)
+        self._stale = stale
 
     def _publish_diagnostics(self) -> None:
         now = self.get_clock().now()

@@ -9,7 +9,7 @@ from topometric_ros.alignment import (
     AgentStatus,
     Alignment,
     AlignmentStatus,
-    MergeResult,
+    Placed,
 )
 from topometric_ros.nodes.diagnostics import Level, Status
 from topometric_ros.topometric_map import TopometricMap
@@ -47,10 +47,12 @@ class InputReport:
 
 @dataclass
 class MergerReport:
-    """The inputs by topic, the newest result and why the last merge failed, if it did."""
+    """The inputs by topic, the newest alignments and why the last merge failed, if it did."""
 
     inputs: dict[str, InputReport] = field(default_factory=dict)
-    result: MergeResult | None = None
+    placed: Placed | None = None
+    waiting: int = 0
+    """Pairs that are still to be aligned with the newest maps."""
     failure: str = ""
     unsaved: str = ""
     """Why the state could not be written, if so."""
@@ -59,28 +61,29 @@ class MergerReport:
 
     def statuses(self, node: str, now: int) -> list[Status]:
         """Return the statuses of agents and alignments for `/diagnostics`; `now` in ns."""
-        placements = {p.id: p for p in self.result.agents} if self.result else {}
+        placements = {p.id: p for p in self.placed.agents} if self.placed else {}
         result = [self._merge(node)]
         for name, entry in self.inputs.items():
             agent = entry.newest.agent if entry.newest else name
             placement, gone = placements.get(agent), self.gone.get(agent)
             result.append(_agent(node, entry, placement, now, gone))
-        alignments = self.result.alignments if self.result else ()
+        alignments = self.placed.alignments if self.placed else ()
         return result + [_alignment(node, alignment) for alignment in alignments]
 
     def _merge(self, node: str) -> Status:
         if self.failure:
             return Status(f"{node}: merge", Level.ERROR, f"merging failed: {self.failure}")
-        if self.result is None:
+        if self.placed is None:
             return Status(f"{node}: merge", Level.WARN, "nothing merged yet")
-        placed = sum(p.T_global_agent is not None for p in self.result.agents)
+        placed = sum(p.T_global_agent is not None for p in self.placed.agents)
         text = f"{placed} of {len(self.inputs)} agents in the global map"
-        values = {"global frame": self.result.global_frame, **self.result.timings}
-        if self.result.warnings:
-            text = f"{text}; {self.result.warnings[0]}"
+        values = {"global frame": self.placed.global_frame, "pairs waiting": self.waiting}
+        values |= self.placed.timings
+        if self.placed.warnings:
+            text = f"{text}; {self.placed.warnings[0]}"
         if self.unsaved:
             return Status(f"{node}: merge", Level.ERROR, f"{text}; {self.unsaved}", values)
-        complete = placed == len(self.inputs) and not self.result.warnings
+        complete = placed == len(self.inputs) and not self.placed.warnings
         return Status(f"{node}: merge", Level.OK if complete else Level.WARN, text, values)
 
 

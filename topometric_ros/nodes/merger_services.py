@@ -10,7 +10,6 @@ from topometric_msgs.srv import LoadMap, MergeNow, RemoveAlignment, Reset, SaveM
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.map_files import load_map, save_map
-from topometric_ros.nodes.merger_report import MergerReport
 from topometric_ros.nodes.services import computed, offer, written
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.transforms import TransformError
@@ -47,7 +46,7 @@ class _MergerServices:
         with self._node.working:
             if not computed(self._node, merge, response):
                 return response
-            agents = self._node.session.result.agents if self._node.session.result else ()
+            agents = self._node.session.placed.agents if self._node.session.placed else ()
             placed = [agent.id for agent in agents if agent.T_global_agent is not None]
             response.agents, response.aligned = len(agents), len(placed)
         response.code = response.SUCCESS
@@ -56,18 +55,13 @@ class _MergerServices:
 
     def reset(self, _request: Any, response: Any) -> Any:
         with self._node.working:
-            self._node.roster.clear()
-            self._node.session.reset()
-            self._node.fresh = False
-            self._node.report = MergerReport(self._node.roster.reports)
-            self._node.place()
-            self._node.remember()
+            self._node.start_over()
         response.code, response.message = response.SUCCESS, "all maps and alignments forgotten"
         self._node.get_logger().info(response.message)
         return response
 
     def save_map(self, request: Any, response: Any) -> Any:
-        result = self._node.report.result
+        result = self._node.session.result
         if result is None:
             response.code, response.message = response.NO_INPUT, "there is no global map yet"
             return response

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Generic, TypeVar
 
 logger = logging.getLogger(__name__)
@@ -47,6 +49,33 @@ class Inbox(Generic[ItemT]):
             items = list(self._items)
             self._items.clear()
             return items
+
+
+class Pace:
+    """When something costly is due again: so many times a second at most, and with breaks between.
+
+    Parameters
+    ----------
+    share : of the time that it may take at most, its own and the breaks' together
+    """
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._next = -float("inf")
+
+    def due(self) -> bool:
+        """Whether it may be done now."""
+        return time.monotonic() >= self._next
+
+    @contextmanager
+    def step(self, rate: float) -> Iterator[None]:
+        """Do it once; `rate` is how often (Hz) it may be done at most."""
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            took = time.monotonic() - began
+            self._next = began + max(1.0 / rate, took / self._share)
 
 
 class Worker:

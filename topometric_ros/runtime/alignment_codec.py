@@ -12,12 +12,14 @@ from typing import Any
 from topometric_ros.alignment import (
     BY_HAND,
     MERGE_SCHEMA,
+    WAITING,
     AgentPlacement,
     AgentStatus,
     Alignment,
     AlignmentStatus,
     Alternative,
     MergeResult,
+    Placed,
     RoomMatch,
 )
 from topometric_ros.runtime.merger_state import Known
@@ -39,7 +41,7 @@ class ReceivedAlignments:
 
 
 def alignments_to_message(
-    result: MergeResult,
+    result: MergeResult | Placed,
     classes: Any,
     stamp: int,
     maps: Mapping[str, TopometricMap],
@@ -88,7 +90,8 @@ def alignments_from_message(message: Any) -> ReceivedAlignments:
 def offers_from_message(message: Any) -> list[Known]:
     """Return what another merger found and of which maps, for those that it did not withdraw.
 
-    What it set by hand is its own operator's word and not offered.
+    What it set by hand is its own operator's word and not offered, nor is what waits for newer maps
+    to be compared.
 
     Raises
     ------
@@ -103,6 +106,7 @@ def offers_from_message(message: Any) -> list[Known]:
         if set(x.agents) <= set(versions)
         and x.status is not AlignmentStatus.WITHDRAWN
         and x.reason != BY_HAND
+        and not x.reason.endswith(WAITING)
     ]
 
 

@@ -1,7 +1,9 @@
 """The merger's state without ROS: maps of agents in, one global map and its alignments out.
 
-Only what changed is aligned again. An accepted alignment changes only for a better one, so that
-robots that steer by it are not thrown about. No threads and no clock.
+Only what changed is aligned again, a few pairs at a time where the caller wants to publish in
+between (:meth:`MergerSession.align`, then :meth:`MergerSession.fuse`) or all at once
+(:meth:`MergerSession.merge`). An accepted alignment changes only for a better one, so that robots
+that steer by it are not thrown about. No clock.
 """
 
 from __future__ import annotations
@@ -14,22 +16,20 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.alignment import BY_HAND, Alignment, AlignmentStatus, MergeResult
+from topometric_ros.alignment import BY_HAND, Alignment, AlignmentStatus, MergeResult, Placed
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.fusion.merge import MOST_AGENTS, merge
+from topometric_ros.fusion.merge import MOST_AGENTS, fused, place
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_state import Known, MergerState, Version, version_of
-from topometric_ros.runtime.moved_maps import MOVED, still_there
-from topometric_ros.runtime.offers import Offers
-from topometric_ros.runtime.pair_aligner import PairAligner
-from topometric_ros.runtime.stability import steadier
+from topometric_ros.runtime.moved_maps import MOVED, move_told, still_there
+from topometric_ros.runtime.pairs import Pair, Pairs
 from topometric_ros.runtime.transforms import check_rigid
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
 
-Pair = tuple[str, str]
+Progress = Callable[[str], None] | None
 
 
 class MergerSession:
@@ -54,16 +54,19 @@ class MergerSession:
         self.maps: dict[str, TopometricMap] = {}
         """The map of each agent that takes part in the result."""
         self.sources: dict[str, str] = {}
+        self.placed: Placed | None = None
+        """Where the agents stand by the newest alignments, None before the first."""
         self.result: MergeResult | None = None
-        """The newest result, None before the first."""
+        """The newest fused result, which `placed` may be ahead of; None before the first."""
+        self.waiting = 0
+        """Pairs that are still to be aligned with the newest maps."""
         self._newer_session: dict[str, TopometricMap] = {}
         self._ended: dict[str, set[str]] = {}
-        self._known: dict[Pair, Known] = {}
+        self._pairs = Pairs()
         self._fixed: dict[Pair, Alignment] = {}
-        self._aligner = PairAligner()
-        self._offers = Offers()
         self._refused: dict[Pair, tuple[Version, Version]] = {}
         self._moved: dict[str, str] = {}
+        self._watch = Stopwatch()
 
     @property
     def stale(self) -> tuple[str, ...]:
@@ -94,9 +97,11 @@ class MergerSession:
         if newest is not None and newest.session == m.session:
             if m.sequence <= newest.sequence:
                 return False
-            into = self._newer_session if m.agent in self._newer_session else self.maps
-            self._notice_move(into[m.agent], m)
-            into[m.agent] = m
+            if m.agent in self._newer_session:
+                self._newer_session[m.agent] = m
+                return True
+            self._notice_move(newest, m)
+            self.maps[m.agent] = m
             return True
         if newest is None:
             self.maps[m.agent] = m
@@ -107,8 +112,27 @@ class MergerSession:
         self._fixed = {p: x for p, x in self._fixed.items() if m.agent not in p}
         return True
 
-    def merge(self, progress: Callable[[str], None] | None = None) -> MergeResult:
-        """Align what changed and fuse the maps.
+    def merge(self, progress: Progress = None) -> MergeResult:
+        """Align all that changed and fuse the maps.
+
+        Raises
+        ------
+        SessionError
+            No map was received yet.
+        MergeError
+            The maps cannot be merged.
+        """
+        self.align(progress=progress)
+        return self.fuse(progress)
+
+    def align(self, limit: int | None = None, progress: Progress = None) -> Placed:
+        """Bring the alignments up to date with the maps and place the agents.
+
+        Parameters
+        ----------
+        limit : pairs to align at most, the most urgent ones; the others wait. What was accepted of
+            older maps holds meanwhile, where the new ones have nothing against it. None: all
+        progress : told in words what is being done
 
         Raises
         ------
@@ -119,27 +143,45 @@ class MergerSession:
         """
         if not self.maps:
             raise SessionError("no map was received yet")
-        watch = Stopwatch()
-        self._take_over(watch, progress)
+        left = self._take_over(limit, progress)
         order = [agent for agent in self._order if agent in self.maps]
-        pairs = [(self.maps[a], self.maps[b]) for a, b in itertools.combinations(order, 2)]
-        self._align_again([pair for pair in pairs if self._is_due(*pair)], watch, progress)
-        known = {pair: entry.alignment for pair, entry in self._known.items()}
-        result = merge(
-            [self.maps[agent] for agent in order],
-            self.config,
-            sources=self.sources,
-            known=known,
-            fixed=self._fixed,
-            progress=progress,
-        )
-        timings = {**watch.seconds}
-        for stage, seconds in result.timings.items():
-            timings[stage] = timings.get(stage, 0.0) + seconds
+        pairs = [
+            (self.maps[a], self.maps[b])
+            for a, b in itertools.combinations(order, 2)
+            if not self._by_hand(a, b)
+        ]
+        due = self._pairs.due(pairs, self.config, {order[0], *self._in_place()})
+        chosen = due if left is None else due[:left]
+        in_use = {x.agents for x in self.placed.alignments if x.accepted} if self.placed else set()
+        self._pairs.align(chosen, self.config, self.threads, in_use, self._watch, progress)
+        untried = sum(len(self._untried(agent)) for agent in self._newer_session)
+        self.waiting = len(due) - len(chosen) + untried
+        maps = [self.maps[agent] for agent in order]
+        known = {(a.agent, b.agent): self._pairs.alignment(a, b, self.config) for a, b in pairs}
+        placed = place(maps, self.config, known, sources=self.sources, fixed=self._fixed)
         told = (*self._moved.values(), *map(self._stale_warning, self.stale))
-        self._moved = {}
-        warnings = (*result.warnings, *told)
-        self.result = dataclasses.replace(result, timings=timings, warnings=warnings)
+        if not self.waiting:
+            self._moved = {}
+        self.placed = dataclasses.replace(
+            placed, warnings=(*placed.warnings, *told), timings=dict(self._watch.seconds)
+        )
+        return self.placed
+
+    def fuse(self, progress: Progress = None) -> MergeResult:
+        """Fuse the maps of the agents as the newest alignments have placed them.
+
+        Raises
+        ------
+        SessionError
+            Nothing was aligned yet, or a map has gone since.
+        """
+        agents = self.placed.agents if self.placed else ()
+        if self.placed is None or any(agent.id not in self.maps for agent in agents):
+            raise SessionError("nothing was aligned yet")
+        if progress is not None:
+            progress("fusing the aligned maps")
+        self.result = fused([self.maps[agent.id] for agent in agents], self.placed, self.config)
+        self._watch = Stopwatch()
         return self.result
 
     def transforms(self) -> dict[str, NDArray[np.float64]]:
@@ -148,11 +190,11 @@ class MergerSession:
         An agent whose newer session is not aligned yet has none: its old transform says nothing
         about where its frame is now.
         """
-        if self.result is None:
+        if self.placed is None:
             return {}
         return {
             agent.id: agent.T_global_agent
-            for agent in self.result.agents
+            for agent in self.placed.agents
             if agent.T_global_agent is not None and agent.id not in self._newer_session
         }
 
@@ -201,7 +243,7 @@ class MergerSession:
             newer=dict(self._newer_session),
             sources=dict(self.sources),
             ended={agent: tuple(sorted(sessions)) for agent, sessions in self._ended.items()},
-            known=tuple(self._known.values()),
+            known=tuple(self._pairs.known.values()),
             fixed=tuple(self._fixed.values()),
         )
 
@@ -213,17 +255,18 @@ class MergerSession:
         self.maps, self._newer_session = dict(state.maps), dict(state.newer)
         self.sources = dict(state.sources)
         self._ended = {agent: set(sessions) for agent, sessions in state.ended.items()}
-        self._known = {entry.alignment.agents: entry for entry in state.known}
+        self._pairs.known = {entry.alignment.agents: entry for entry in state.known}
         self._fixed = {alignment.agents: alignment for alignment in state.fixed}
 
     def forget(self, agent: str) -> None:
         """Take an agent out of the result; it may come back with any map."""
         for held in (self.maps, self._newer_session, self.sources, self._ended):
             held.pop(agent, None)
-        self._known = {p: entry for p, entry in self._known.items() if agent not in p}
         self._fixed = {p: x for p, x in self._fixed.items() if agent not in p}
         self._refused = {p: v for p, v in self._refused.items() if agent not in p}
-        self._aligner.forget(agent)
+        self._pairs.forget(agent)
+        if not self.maps:
+            self.placed, self.waiting = None, 0
 
     def offer(self, offers: Sequence[Known]) -> None:
         """Take note of what another merger has found.
@@ -231,7 +274,7 @@ class MergerSession:
         It is used for pairs that were not aligned here yet, where it is of just the maps that are
         held and where an accepted transform passes the gates on them.
         """
-        self._offers.take(offers)
+        self._pairs.offers.take(offers)
 
     def _require_pair(self, a: str, b: str) -> None:
         for agent in (a, b):
@@ -241,105 +284,64 @@ class MergerSession:
         if a == b:
             raise SessionError(f"an alignment needs two agents, got {a!r} twice")
 
-    def _take_over(self, watch: Stopwatch, progress: Callable[[str], None] | None) -> None:
-        """Let the maps of newer sessions replace the old ones where that loses no alignment."""
-        for agent in list(self._newer_session):
-            if self._replaceable(agent, watch, progress):
-                self.maps[agent] = self._newer_session.pop(agent)
-                self._known = {
-                    pair: entry
-                    for pair, entry in self._known.items()
-                    if agent not in pair or self._current(pair, entry)
-                }
+    def _in_place(self) -> list[str]:
+        agents = self.placed.agents if self.placed else ()
+        return [agent.id for agent in agents if agent.T_global_agent is not None]
 
-    def _replaceable(
-        self, agent: str, watch: Stopwatch, progress: Callable[[str], None] | None
-    ) -> bool:
-        """Whether a newer session's map aligns with an agent in place, or the old one never did."""
-        agents = self.result.agents if self.result else ()
-        placed = [place.id for place in agents if place.T_global_agent is not None]
+    def _take_over(self, limit: int | None, progress: Progress) -> int | None:
+        """Let the maps of newer sessions replace the old ones where that loses no alignment.
+
+        An agent in place keeps its old map until its new one aligns with that of another. Return
+        how many pairs may still be aligned now.
+        """
+        for agent in list(self._newer_session):
+            untried, found = self._untried(agent), False
+            for other in untried if limit is None else untried[:limit]:
+                a, b = self._in_order(self._newer_session[agent], self.maps[other])
+                limit = None if limit is None else limit - 1
+                found = self._pairs.try_one(a, b, self.config, self._watch, progress)
+                if found:
+                    break
+                self._refused[a.agent, b.agent] = (version_of(a), version_of(b))
+            if found or not self._must_align(agent):
+                self.maps[agent] = self._newer_session.pop(agent)
+                self._pairs.keep_only(agent, self.maps)
+        return limit
+
+    def _must_align(self, agent: str) -> bool:
+        """Whether a newer session's map must align with another before it takes its place."""
+        placed = self._in_place()
         # What was set by hand before the new session is gone; what is there means the new one.
         by_hand = any(agent in pair for pair in self._fixed)
-        if agent not in placed or len(placed) < 2 or by_hand:
-            return True
-        new = self._newer_session[agent]
-        for other in placed:
-            if other == agent:
-                continue
-            a, b = self._in_order(new, self.maps[other])
-            pair, versions = (a.agent, b.agent), (version_of(a), version_of(b))
-            if self._refused.get(pair) == versions:
-                continue
-            (found,) = self._aligner.align([(a, b)], self.config, 1, watch, progress)
-            if found.alignment.accepted:
-                self._known[pair] = Known(found.alignment, versions, found.support)
-                return True
-            self._refused[pair] = versions
-        return False
+        return agent in placed and len(placed) >= 2 and not by_hand
 
-    def _is_due(self, a: TopometricMap, b: TopometricMap) -> bool:
-        """Whether the alignment of a pair is to be made of its present maps."""
-        pair, versions = (a.agent, b.agent), (version_of(a), version_of(b))
-        if self._fixed_for(pair) is not None:
-            return False
-        entry = self._known.get(pair)
-        if entry is None:
-            entry = self._offers.standing(a, b, self._aligner, self.config)
-            if entry is not None:
-                self._known[pair] = entry
-        return entry is None or entry.versions != versions
-
-    def _align_again(
-        self,
-        pairs: Sequence[tuple[TopometricMap, TopometricMap]],
-        watch: Stopwatch,
-        progress: Callable[[str], None] | None,
-    ) -> None:
-        """Bring the alignments of pairs up to date with their maps."""
-        found = self._aligner.align(pairs, self.config, self.threads, watch, progress)
-        for (a, b), new in zip(pairs, found, strict=True):
-            pair = (a.agent, b.agent)
-            entry = self._known.get(pair)
-            alignment, held = new.alignment, new.support
-            in_use = entry is not None and self._in_use(pair, entry)
-            # Where a map has moved as a whole, what held before says nothing.
-            still = not self._moved.keys() & set(pair)
-            if entry is not None and in_use and still and self._same_sessions(a, b, entry):
-                with watch.stage("stability"):
-                    alignment, held = steadier(
-                        entry.alignment, entry.support, alignment, new.a, new.b, self.config
-                    )
-            self._known[pair] = Known(alignment, (version_of(a), version_of(b)), held)
+    def _untried(self, agent: str) -> list[str]:
+        """Return the agents in place that a newer session's map was not aligned with yet."""
+        if not self._must_align(agent):
+            return []
+        others = [other for other in self._in_place() if other != agent and other in self.maps]
+        pairs = {o: self._in_order(self._newer_session[agent], self.maps[o]) for o in others}
+        return [
+            other
+            for other, (a, b) in pairs.items()
+            if self._refused.get((a.agent, b.agent)) != (version_of(a), version_of(b))
+        ]
 
     def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:
         return (x, y) if self._order.index(x.agent) < self._order.index(y.agent) else (y, x)
 
-    def _in_use(self, pair: Pair, entry: Known) -> bool:
-        """Whether robots steer by the alignment of a pair: one that was withdrawn may change."""
-        alignments = self.result.alignments if self.result else ()
-        stands = any(x.accepted and x.agents == pair for x in alignments)
-        return stands and entry.alignment.accepted
-
-    def _current(self, pair: Pair, entry: Known) -> bool:
-        return entry.versions == (version_of(self.maps[pair[0]]), version_of(self.maps[pair[1]]))
-
-    def _same_sessions(self, a: TopometricMap, b: TopometricMap, entry: Known) -> bool:
-        return tuple(version[0] for version in entry.versions) == (a.session, b.session)
-
-    def _fixed_for(self, pair: Pair) -> Alignment | None:
-        return self._fixed.get(pair) or self._fixed.get((pair[1], pair[0]))
+    def _by_hand(self, a: str, b: str) -> bool:
+        return (a, b) in self._fixed or (b, a) in self._fixed
 
     def _notice_move(self, old: TopometricMap, new: TopometricMap) -> None:
         """Remember that an agent's map has moved as a whole, as when its SLAM closes a loop."""
         share = still_there(old, new)
         if share >= MOVED:
             return
-        told = f"{new.agent}: its whole map has moved, {share:.0%} is where it was: aligned anew"
-        by_hand = sorted({a for pair in self._fixed for a in pair if new.agent in pair})
-        if by_hand:
-            others = ", ".join(a for a in by_hand if a != new.agent)
-            told += f"; what was set by hand with {others} is kept and may no longer hold"
+        others = sorted({a for pair in self._fixed if new.agent in pair for a in pair})
+        told = move_told(new.agent, share, [a for a in others if a != new.agent])
         self._moved[new.agent] = told
+        self._pairs.void(new.agent)
         logger.warning("%s", told)
 
     def _stale_warning(self, agent: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from topometric_ros.fusion.poses import apply, inverse
@@ -34,3 +36,11 @@ def still_there(old: TopometricMap, new: TopometricMap) -> float:
     ]
     looked_at = codes[0][:: max(1, len(codes[0]) // _LOOKED_AT)]
     return float(np.isin(looked_at, codes[1]).mean())
+
+
+def move_told(agent: str, share: float, by_hand: Sequence[str]) -> str:
+    """Say that an agent's map has moved; `by_hand` were aligned with it by an operator."""
+    told = f"{agent}: its whole map has moved, {share:.0%} is where it was: aligned anew"
+    if by_hand:
+        told += f"; what was set by hand with {', '.join(by_hand)} is kept and may no longer hold"
+    return told

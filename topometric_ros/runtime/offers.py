@@ -9,7 +9,7 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import reversed_alignment
 from topometric_ros.runtime.merger_state import Known, version_of
 from topometric_ros.runtime.pair_aligner import PairAligner
-from topometric_ros.runtime.stability import objection_to, support
+from topometric_ros.runtime.stability import standing, support
 from topometric_ros.runtime.transforms import TransformError, check_rigid
 from topometric_ros.topometric_map import TopometricMap
 
@@ -48,7 +48,7 @@ class Offers:
         if offer is None or offer.versions != (version_of(a), version_of(b)):
             return None
         one, two = aligner.prepared(a, config), aligner.prepared(b, config)
-        objection = objection_to(offer.alignment, one, two, config)
+        _, objection = standing(offer.alignment, one, two, config)
         if objection is not None:
             logger.warning(
                 "%s and %s: the offered alignment is not taken: %s", a.agent, b.agent, objection

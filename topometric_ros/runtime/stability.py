@@ -22,6 +22,10 @@ MARGIN = 0.1
 NEARBY = (0.3, np.deg2rad(3.0))
 """m and rad: two transforms this close are one answer, known more or less well."""
 
+SAME = (0.02, np.deg2rad(0.2))
+"""m and rad: transforms this close are one, and the newer counts: it moves nothing that a map could
+show, and a fleet comes to one result however often its maps were sent."""
+
 MORE_EVIDENCE = 1.2
 """Factor by which the voxels that both maps hold must have grown for a nearby transform to count
 as better: it rests on more, although its score may be no higher."""
@@ -32,16 +36,19 @@ def support(alignment: Alignment, a: Prepared, b: Prepared) -> float:
     return alignment.overlap * min(len(a.map.voxels), len(b.map.voxels))
 
 
-def objection_to(alignment: Alignment, a: Prepared, b: Prepared, config: MergeConfig) -> str | None:
-    """Return what two maps have to say against a transform that was found before, or None.
+def standing(
+    alignment: Alignment, a: Prepared, b: Prepared, config: MergeConfig
+) -> tuple[Alignment, str | None]:
+    """Return an accepted alignment as it stands on two maps, and what they say against it, if so.
 
-    An alignment without a transform says nothing that could be wrong.
+    It gets the score that its transform has on them and loses the matches of rooms that are gone.
     """
-    if not alignment.accepted or alignment.T_a_b is None or config.check == "none":
-        return None
+    if not alignment.accepted or alignment.T_a_b is None:
+        return alignment, None
     T_level = level_frames(alignment.T_a_b, a.map.T_level_input, b.map.T_level_input)
     evidence = evaluate(a.fields, b.fields, T_level, config.search.scoring)
-    return missed_gate(evidence, config.verification)
+    objection = missed_gate(evidence, config.verification) if config.check != "none" else None
+    return _kept(alignment, evidence.value, a, b), objection
 
 
 def steadier(
@@ -70,33 +77,32 @@ def steadier(
     if old.T_a_b is None:
         return new, support(new, a, b)
     name = f"{old.agents[0]} and {old.agents[1]}"
-    T_level = level_frames(old.T_a_b, a.map.T_level_input, b.map.T_level_input)
-    evidence = evaluate(a.fields, b.fields, T_level, config.search.scoring)
-    objection = missed_gate(evidence, config.verification) if config.check != "none" else None
+    kept, objection = standing(old, a, b, config)
     if objection is not None:
         logger.info(
             "%s: the alignment in use no longer holds (%s); now %s, score %.3f after %.3f",
-            *(name, objection, new.status, new.score, evidence.value),
+            *(name, objection, new.status, new.score, kept.score),
         )
         return new, support(new, a, b)
-    kept = _kept(old, evidence.value, a, b)
     if not new.accepted or new.T_a_b is None:
         logger.info(
             "%s: the alignment in use is kept (score %.3f); the new maps alone are %s: %s",
-            *(name, evidence.value, new.status, new.reason),
+            *(name, kept.score, new.status, new.reason),
         )
         return kept, old_support
-    better = new.score > evidence.value * (1 + MARGIN)
+    if _within(SAME, old, new, b):
+        return new, support(new, a, b)
+    better = new.score > kept.score * (1 + MARGIN)
     firmer = support(new, a, b) > MORE_EVIDENCE * old_support
-    if better or (firmer and _nearby(old, new, b)):
+    if better or (firmer and _within(NEARBY, old, new, b)):
         logger.info(
             "%s: the alignment changes, score %.3f after %.3f, overlap %.2f after %.2f",
-            *(name, new.score, evidence.value, new.overlap, old.overlap),
+            *(name, new.score, kept.score, new.overlap, old.overlap),
         )
         return new, support(new, a, b)
     logger.info(
         "%s: the alignment in use is kept, score %.3f against %.3f",
-        *(name, evidence.value, new.score),
+        *(name, kept.score, new.score),
     )
     return kept, old_support
 
@@ -109,11 +115,11 @@ def _kept(old: Alignment, score: float, a: Prepared, b: Prepared) -> Alignment:
     return dataclasses.replace(old, score=score, matches=matches)
 
 
-def _nearby(old: Alignment, new: Alignment, b: Prepared) -> bool:
-    """Whether two transforms are the same answer, at the middle of map b."""
+def _within(limits: tuple[float, float], old: Alignment, new: Alignment, b: Prepared) -> bool:
+    """Whether two transforms differ by less than limits (m, rad), at the middle of map b."""
     if old.T_a_b is None or new.T_a_b is None or len(b.map.voxels) == 0:
         return False
     T_input_level = inverse(b.map.T_level_input)
     middle = T_input_level[:3, :3] @ b.map.centres().mean(axis=0) + T_input_level[:3, 3]
     distance = apart(old.T_a_b, new.T_a_b, middle[None])
-    return distance < NEARBY[0] and angle(inverse(old.T_a_b) @ new.T_a_b) < NEARBY[1]
+    return distance < limits[0] and angle(inverse(old.T_a_b) @ new.T_a_b) < limits[1]

@@ -1,0 +1,92 @@
+"""New maps: what was accepted holds or falls at once, and pairs are aligned as they are urgent."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from test.helpers import yaw_transform
+from test.helpers_io import random_map
+from test.helpers_sessions import flat_map
+from topometric_ros.alignment import WAITING, Alignment, AlignmentStatus
+from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.io.bag_messages import message_classes
+from topometric_ros.runtime.alignment_codec import alignments_to_message, offers_from_message
+from topometric_ros.runtime.merger_session import MergerSession
+from topometric_ros.runtime.merger_state import Known, MergerState, version_of
+from topometric_ros.runtime.pairs import Pairs
+from topometric_ros.topometric_map import TopometricMap
+
+
+def next_version(m: TopometricMap) -> TopometricMap:
+    return dataclasses.replace(m, sequence=m.sequence + 1)
+
+
+def merger_that_knows(T_a_b: np.ndarray) -> MergerSession:
+    """Return a merger with two maps of the flat and an accepted alignment of them."""
+    a, b = flat_map("a"), flat_map("b", 1)
+    alignment = Alignment(("a", "b"), AlignmentStatus.ACCEPTED, "known", T_a_b, overlap=0.9)
+    known = (Known(alignment, (version_of(a), version_of(b)), 1e9),)
+    merger = MergerSession(MergeConfig(), ["a", "b"])
+    merger.restore(MergerState(("a", "b"), {"a": a, "b": b}, known=known))
+    merger.align()
+    assert list(merger.transforms()) == ["a", "b"]
+    return merger
+
+
+RIGHT = np.linalg.inv(yaw_transform(0.4, (1.0, 2.0, 0.0)))
+
+
+def test_what_was_accepted_holds_for_a_new_map_before_the_pair_has_its_turn() -> None:
+    merger = merger_that_knows(RIGHT)
+    merger.add_map(next_version(flat_map("b", 1)))
+    placed = merger.align(limit=0)
+    assert merger.waiting == 1
+    (x,) = placed.alignments
+    assert (x.accepted, x.reason) == (True, "known")
+    assert x.score > 0.0
+    np.testing.assert_array_equal(merger.transforms()["b"], RIGHT)
+    merger.align(limit=1)
+    assert merger.waiting == 0
+    np.testing.assert_allclose(merger.transforms()["b"], RIGHT, atol=0.05)
+
+
+def test_what_a_new_map_contradicts_is_not_used_until_it_is_found_anew() -> None:
+    merger = merger_that_knows(yaw_transform(1.1, (3.0, 0.0, 0.0)))
+    merger.add_map(next_version(flat_map("b", 1)))
+    placed = merger.align(limit=0)
+    assert list(merger.transforms()) == ["a"]
+    (x,) = placed.alignments
+    assert x.status is AlignmentStatus.NONE
+    assert x.reason.startswith("it no longer holds: ")
+    # What waits is no verdict that another merger could take over.
+    message = alignments_to_message(placed, message_classes(), 1, merger.maps)
+    assert offers_from_message(message) == []
+
+
+def test_agents_without_a_place_come_first_and_then_who_waited_longest() -> None:
+    config = MergeConfig(check="none")
+    maps = {agent: random_map(seed, agent) for seed, agent in enumerate("abcd")}
+    pairs = Pairs()
+
+    def due(*placed: str) -> list[str]:
+        waiting = pairs.due(every, config, placed)
+        return [x.agent + y.agent for x, y in waiting]
+
+    every = [(maps[x], maps[y]) for x, y in ("ab", "ac", "ad", "bc", "bd", "cd")]
+    assert due("a", "d") == ["ab", "ac", "bd", "cd", "bc", "ad"]
+
+    def aligned(index: int, turn: int, status: AlignmentStatus) -> None:
+        a, b = every[index]
+        T = np.eye(4) if status is AlignmentStatus.ACCEPTED else None
+        alignment = Alignment((a.agent, b.agent), status, WAITING, T)
+        pairs.known[a.agent, b.agent] = Known(alignment, (version_of(a), version_of(b)), 0.0)
+        pairs._turns[a.agent, b.agent] = turn
+
+    aligned(0, 1, AlignmentStatus.NONE)
+    aligned(2, 2, AlignmentStatus.ACCEPTED)
+    assert due("a", "d") == ["ac", "bd", "cd", "bc"]
+    maps["a"] = next_version(maps["a"])
+    every = [(maps[x], maps[y]) for x, y in ("ab", "ac", "ad", "bc", "bd", "cd")]
+    assert due("a", "d") == ["ac", "bd", "cd", "ab", "bc", "ad"]
