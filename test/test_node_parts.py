@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import array
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from test.helpers_ros import missing, private_context
 from topometric_ros.configuration import parameter
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.extraction.config import extraction_preset
+from topometric_ros.fusion.config import merge_preset
+from topometric_ros.nodes.config import ExtractorNodeConfig, MergerNodeConfig
 from topometric_ros.topometric_map import Passage, Room, Storey, StoreyLayers, TopometricMap
 
 if missing():
@@ -23,7 +29,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.executors import MultiThreadedExecutor
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
@@ -117,6 +123,55 @@ def test_a_wrong_change_is_refused_with_the_reason_and_a_right_one_is_handed_on(
     assert len(changes) == 1
     assert node.get_parameter("walls.thickness").value == 0.3
     node.destroy_node()
+
+
+def dumped(node: Any) -> dict[str, Any]:
+    """Return what `ros2 param dump` would write of a node."""
+    tree: dict[str, Any] = {}
+    for name in node.get_parameters_by_prefix(""):
+        value = parameter_value_to_python(node.get_parameter(name).get_parameter_value())
+        *branches, leaf = name.split(".")
+        branch = tree
+        for key in branches:
+            branch = branch.setdefault(key, {})
+        branch[leaf] = value.tolist() if isinstance(value, array.array) else value
+    return {node.get_fully_qualified_name(): {"ros__parameters": tree}}
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "stage"),
+    [
+        ("merger", MergerNodeConfig(), merge_preset("default")),
+        ("extractor", ExtractorNodeConfig(), extraction_preset("default")),
+    ],
+)
+def test_a_dump_of_all_parameters_starts_the_node_again_and_so_does_the_file_that_ships(
+    context: Any, tmp_path: Path, name: str, own: Any, stage: Any
+) -> None:
+    def declared(*arguments: str) -> tuple[Any, dict[str, Any]]:
+        node = TopometricNode(
+            name,
+            context=context,
+            cli_args=["--ros-args", *arguments],
+            use_global_arguments=False,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        configs = parameters.declare(node, (own, stage), fixed=("agents",))
+        content = dumped(node)
+        if name == "merger":
+            texts = Parameter.Type.STRING_ARRAY
+            assert node.get_parameter("priors").type_ is texts
+            assert node.describe_parameter("agents").read_only
+            assert node.set_parameters([Parameter("priors", texts, ["{a: 1}"])])[0].successful
+        node.destroy_node()
+        return configs, content
+
+    configs, content = declared("-p", "max_rate:=3.0")
+    file = tmp_path / "dump.yaml"
+    file.write_text(yaml.safe_dump(content))
+    assert declared("--params-file", str(file)) == (configs, content)
+    shipped = Path(__file__).parent.parent / "config" / f"{name}.yaml"
+    assert declared("--params-file", str(shipped))[0][1] == stage
 
 
 def profile(reliable: bool, latched: bool) -> Any:

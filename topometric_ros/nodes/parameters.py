@@ -69,13 +69,22 @@ def declare(node: Node, configs: Sequence[Any], fixed: Collection[str]) -> Confi
     for info, value in zip(known, values, strict=True):
         if node.has_parameter(info.name):
             node.undeclare_parameter(info.name)
-        node.declare_parameter(
-            info.name,
-            list(value) if isinstance(value, tuple) else value,
-            _descriptor(info, info.name in fixed),
-            ignore_override=True,
-        )
+        _declare(node, info, value, info.name in fixed)
     return updated
+
+
+def _declare(node: Node, info: ParameterInfo, value: Any, read_only: bool) -> None:
+    """Declare one parameter with its value; an empty list is one of texts, not of bytes."""
+    if value != ():
+        value = list(value) if isinstance(value, tuple) else value
+        node.declare_parameter(info.name, value, _descriptor(info, read_only), True)
+        return
+    kind = Parameter.Type.STRING_ARRAY
+    node.declare_parameter(info.name, kind, _descriptor(info, False), True)
+    node.set_parameters([Parameter(info.name, kind, [])])
+    descriptor = _descriptor(info, read_only)
+    descriptor.type = kind.value
+    node.set_descriptor(info.name, descriptor)
 
 
 def on_change(node: Node, configs: Configs, changed: Callable[[Configs], None]) -> None:

@@ -15,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from topometric_ros.errors import TopometricError
@@ -41,6 +42,18 @@ class TopometricNode(Node):
     _publishers_before: frozenset[Any] = frozenset()
     _listening_before: frozenset[Any] = frozenset()
     _active = False
+
+    def declare_parameters(
+        self, namespace: str, parameters: Sequence[Any], ignore_override: bool = False
+    ) -> list[Parameter]:
+        """Declare parameters, but for those that a file gives no value.
+
+        An empty list in a parameter file, as a dump of this node has them, reaches rclpy without a
+        type or a value, and rclpy refuses to declare such an override.
+        """
+        given = [entry for entry in parameters if len(entry) < 2 or entry[1] is not None]
+        declared: list[Parameter] = super().declare_parameters(namespace, given, ignore_override)
+        return declared
 
     def _set_up(self) -> None:
         """Make the state and the publishers."""
