@@ -153,6 +153,25 @@ def test_findings_come_from_numbers_alone(good: Quality) -> None:
     assert [f.code for f in findings(lost, 0.1)] == ["floor_missed", "unlabelled"]
 
 
+@pytest.mark.parametrize(
+    ("flat", "straight", "told"),
+    [(0.88, 0.48, []), (0.9, 0.3, ["structure"]), (0.3, 0.3, ["structure"])],
+)
+def test_sloped_roofs_and_noise_leave_a_building_one(
+    good: Quality, flat: float, straight: float, told: list[str]
+) -> None:
+    seen = dataclasses.replace(good, flat=flat, straight=straight)
+    assert [f.code for f in findings(seen, 0.1)] == told
+
+
+def test_a_storey_seen_up_a_stairwell_alone_is_not_seen_too_low() -> None:
+    above = _flat()[_flat()[:, 0] < 1.6]
+    above = above[above[:, 2] < 1.5] + (0, 0, 2.9)
+    extraction = extract(np.concatenate([_flat(), above]), ExtractionConfig())
+    assert len(extraction.map.storeys) == 2
+    assert "low_view" not in _codes(extraction.quality)
+
+
 def test_the_command_line_writes_the_report_and_scales(tmp_path: Path) -> None:
     np.save(tmp_path / "feet.npy", _flat() / 0.3048)
     arguments = ["extract", str(tmp_path / "feet.npy"), "-o", str(tmp_path), "--scale", "0.3048"]

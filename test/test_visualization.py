@@ -113,7 +113,7 @@ def test_timings_appear_only_when_given(merged_page):
 def test_an_extraction_s_quality_appears_with_what_to_do(merged_page):
     quality = Quality(
         *(100, 50, 1, 2, 1, 20.0, {"all": 0.1}, 0.9, 0.8, (((0, 1), 20.0),)),
-        *(0.01, 0.9, 0.5, 1.0, 0.07, None, 2.5),
+        *(0.01, 0.95, 0.9, 0.5, 1.0, 0.07, None, 2.5),
         findings=(Finding("sparse", "warning", "points lie apart", "use --voxel-size 0.2"),),
     )
     html = report_html(merged_result(), demo_maps(), qualities={"robot1": quality})

@@ -29,6 +29,9 @@ _FLOOR_BAND = 0.15
 """How far from a storey's floor something seen may lie and still be floor, m."""
 
 _OUTSIDE = 0.3
+_LARGE_STOREY = 0.2
+"""Share of the voxels; less of a storey may be all that was seen through a stairwell."""
+
 _WALL = 1.0
 """m of voxels in a column that make it a wall."""
 
@@ -68,16 +71,27 @@ def assess(
         ceiling_seen=ceiling_seen,
         parts=parts(m),
         noise=surfaces.noise,
+        flat=surfaces.flat,
         straight=surfaces.straight,
         upright=surfaces.upright,
         surfaces_measured=surfaces.measured,
         spacing=spacing(coords, RASTER),
         clear_height=height,
-        seen_height=float(np.percentile(points[:, 2], 99) - max(s.floor for s in storeys)),
+        seen_height=_seen_height(m, storeys, storey),
     )
     unit = None if is_ordinary_height(height) else likely_unit(points)
     upside_down = is_upside_down(columns, storeys, m.origin[2])
     return replace(quality, findings=findings(quality, m.voxel_size, unit, upside_down))
+
+
+def _seen_height(
+    m: TopometricMap, storeys: Sequence[StoreyHeights], storey: NDArray[np.int32]
+) -> float:
+    """Return how far above its floor a storey was seen, m: the least of those well seen."""
+    z = m.origin[2] + m.voxels[:, 2] * m.voxel_size
+    seen = [z[storey == index] - level.floor for index, level in enumerate(storeys)]
+    large = [heights for heights in seen if len(heights) >= _LARGE_STOREY * len(z)]
+    return min(float(np.percentile(heights, 99)) for heights in large or [max(seen, key=len)])
 
 
 def unlabelled_shares(

@@ -20,7 +20,13 @@ _TALLEST_HALL = 15.0
 
 _MOST_WITHOUT_ROOM = 0.25
 _NOISY = 0.03
-_LEAST_STRAIGHT = 0.5
+_LEAST_FLAT = 0.35
+"""Share of the points on thin surfaces; right clouds measured from 0.54, clumps of points 0.04."""
+
+_LEAST_STRAIGHT = 0.4
+"""Level and upright ones among those: buildings, attics too, from 0.54, spheres and hills to 0.28.
+"""
+
 _LEAST_UPRIGHT = 0.1
 _MEASURED = 0.1
 _LOW_VIEW = 2.2
@@ -58,8 +64,9 @@ class Quality:
     Lengths in m, areas in m², shares from 0 to 1. `unlabelled` is the share of voxels in no room,
     by reason. `floor_seen` and `ceiling_seen` are shares of the rooms' area. `parts` are the
     groups of rooms that passages join, largest first, with the area of each. Of the points in
-    measured blocks of surface, `straight` lie on level or upright ones and `upright` on upright
-    ones. `seen_height` is how far above the highest floor anything was seen.
+    measured blocks, `flat` lie on thin surfaces, `straight` on level or upright ones and `upright`
+    on upright ones. `seen_height` is how far above its floor anything was seen, in the storey where
+    that is least, of those with a fifth of the voxels.
     """
 
     points: int
@@ -73,6 +80,7 @@ class Quality:
     ceiling_seen: float
     parts: tuple[tuple[tuple[int, ...], float], ...]
     noise: float
+    flat: float
     straight: float
     upright: float
     surfaces_measured: float
@@ -106,6 +114,7 @@ class Quality:
             "parts": [{"rooms": list(rooms), "area": round(area, 2)} for rooms, area in self.parts],
             "tilt_deg": round(self.tilt_deg, 3),
             "noise": round(self.noise, 3),
+            "flat": round(self.flat, 3),
             "straight": round(self.straight, 3),
             "upright": round(self.upright, 3),
             "spacing": round(self.spacing, 3),
@@ -170,8 +179,6 @@ def _upside_down(upside_down: bool) -> Iterator[Finding]:
 
 
 def _structure(quality: Quality) -> Iterator[Finding]:
-    if quality.straight >= _LEAST_STRAIGHT and quality.noise < _NOISY:
-        return
     if quality.noise >= _NOISY:
         message = (
             f"surfaces are {2 * quality.noise * 100:.0f} cm thick (noise of about "
@@ -179,10 +186,17 @@ def _structure(quality: Quality) -> Iterator[Finding]:
         )
         advice = "register or filter the cloud first, or look for a map seen twice with an offset"
         yield Finding("noise", "warning", message, advice)
-    elif quality.surfaces_measured >= _MEASURED:
+    elif quality.surfaces_measured < _MEASURED:
+        return
+    elif quality.flat < _LEAST_FLAT:
         message = (
-            f"only {quality.straight:.0%} of the points lie on level or upright surfaces, "
-            "in buildings most do"
+            f"only {quality.flat:.0%} of the points lie on thin surfaces, in buildings most do"
+        )
+        yield Finding("structure", "warning", message, "is it a building?")
+    elif quality.straight < _LEAST_STRAIGHT * quality.flat:
+        message = (
+            f"only {quality.straight / quality.flat:.0%} of the surfaces are level or upright, in "
+            "buildings most are"
         )
         yield Finding("structure", "warning", message, "is it a building, with z up (--up)?")
 
@@ -193,8 +207,8 @@ def _walls(quality: Quality) -> Iterator[Finding]:
         yield Finding("no_walls", "warning", f"{message} surfaces", "is it a building?")
     elif quality.rooms and 0.5 < quality.seen_height < _LOW_VIEW:
         message = (
-            f"nothing was seen higher than {quality.seen_height:.1f} m above the highest floor, "
-            "where walls are told from furniture"
+            f"nothing was seen higher than {quality.seen_height:.1f} m above the floor, where "
+            "walls are told from furniture"
         )
         yield Finding("low_view", "warning", message, "use a sensor that looks up, or tilt it")
 
