@@ -165,6 +165,12 @@ def _commonest(group, labels):  # type: ignore[no-untyped-def]
     result = np.empty(count, np.int32)
     for g in range(count):
         own = sorted_labels[starts[g] : starts[g + 1]]
+        result[g] = own[0]
+        i = 1
+        while i < len(own) and own[i] == own[0]:
+            i += 1
+        if i == len(own):  # most groups are of one label
+            continue
         own.sort()
         most, run = 0, 0
         for i in range(len(own)):

@@ -169,7 +169,8 @@ def _check_extent(points: NDArray[np.float64]) -> None:
     """Raise LayersError where points (P, 3) span more than rasters can hold."""
     if len(points) == 0:
         return
-    x, y = np.ptp(points[:, :2], axis=0)
+    low, high = bounds(points)
+    x, y, _ = high - low
     if x * y > _MOST_CELLS * CELL**2:
         raise LayersError(
             f"a storey spans {x:.0f} m x {y:.0f} m: remove the points far outside the building"
@@ -189,9 +190,10 @@ def above_floor(points: NDArray[np.float64], z: float, config: LayersConfig) -> 
     near = np.abs(heights) < config.floor_drift
     if config.floor_drift == 0.0 or not near.any():
         return heights
-    low = tile[near].min(axis=0)
-    shape = tile[near].max(axis=0) - low + 1
-    offset = _followed(*_floor_of_tiles(tile[near] - low, heights[near], shape, config), config)
+    on_floor = tile[near]
+    low, high = bounds(on_floor)
+    shape = high - low + 1
+    offset = _followed(*_floor_of_tiles(on_floor - low, heights[near], shape, config), config)
     inside = np.clip(tile - low, 0, shape - 1)
     return heights - offset[inside[:, 0], inside[:, 1]]
 

@@ -146,7 +146,7 @@ def _believed(
     none = np.zeros(2)
     R = _levelling_rotation(slope)
     tilt = float(np.degrees(np.arccos(min(1.0, R[2, 2]))))
-    rise = _EXTENT * np.tan(np.radians(tilt)) * float(np.hypot(*points[:, :2].std(axis=0)))
+    rise = _EXTENT * np.tan(np.radians(tilt)) * np.hypot(points[:, 0].std(), points[:, 1].std())
     if tilt < config.smallest_tilt and rise < config.smallest_rise:
         message = f"the floor seems tilted by {tilt:.1f}° and was left so"
         advice = f"set level.smallest_tilt, now {config.smallest_tilt:g}°, lower to level it"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -53,34 +54,91 @@ class _Regions:
 
     def merge(self, keep: int, gone: int) -> None:
         """Join region `gone` to `keep` (the lower number)."""
-        self.parent[self.parent == gone] = keep
-        for counts in (self.pairs, self.seen):
-            within = counts[keep, keep] + counts[gone, gone] + counts[keep, gone]
-            counts[keep] += counts[gone]
-            counts[:, keep] = counts[keep]
-            counts[keep, keep] = within
-        self.peak[keep] = max(self.peak[keep], self.peak[gone])
-        a, b = np.where(self.a == gone, keep, self.a), np.where(self.b == gone, keep, self.b)
-        a, b = np.minimum(a, b), np.maximum(a, b)
-        # Of two borders that became one, the wider saddle is the one that counts.
-        order = np.lexsort((-self.saddle, b, a))
-        first = np.ones(len(order), bool)
-        first[1:] = (np.diff(a[order]) != 0) | (np.diff(b[order]) != 0)
-        rows = order[first & (a[order] != b[order])]
-        self.a, self.b = a[rows], b[rows]
-        self.saddle, self.corner, self.line = self.saddle[rows], self.corner[rows], self.line[rows]
+        rows = (self.a, self.b, self.saddle, self.corner, self.line)
+        self.sort(_absorb(keep, gone, self.parent, rows, len(self.a), *self.counts()))
 
-    def visibility(self) -> NDArray[np.float64]:
-        """Return how much each pair sees of the other, relative to how much it sees of itself."""
-        own = _ratio(np.diagonal(self.seen), np.diagonal(self.pairs), 1.0)
-        across = _ratio(self.seen[self.a, self.b], self.pairs[self.a, self.b], 0.5)
-        return across / np.maximum(0.2, np.minimum(own[self.a], own[self.b]))
+    def counts(self) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+        """Return what is known of the regions themselves."""
+        return self.peak, self.pairs, self.seen
+
+    def sort(self, count: int) -> None:
+        """Keep the first `count` pairs, in the order of their numbers."""
+        order = np.lexsort((self.b[:count], self.a[:count]))
+        self.a, self.b = self.a[order], self.b[order]
+        self.saddle, self.corner, self.line = (
+            self.saddle[order],
+            self.corner[order],
+            self.line[order],
+        )
 
 
-def _ratio(
-    part: NDArray[np.int64], whole: NDArray[np.int64], otherwise: float
-) -> NDArray[np.float64]:
-    return np.where(whole > 0, part / np.maximum(whole, 1), otherwise)
+@njit(cache=True, nogil=True)
+def _absorb(keep, gone, parent, rows, count, peak, pairs, seen):  # type: ignore[no-untyped-def]
+    """Join a region to another, in place; return how many of the pairs (rows) are left.
+
+    Of two borders that become one, the wider saddle is the one that counts.
+    """
+    a, b, saddle, corner, line = rows
+    for piece in range(len(parent)):
+        if parent[piece] == gone:
+            parent[piece] = keep
+    for numbers in (pairs, seen):
+        within = numbers[keep, keep] + numbers[gone, gone] + numbers[keep, gone]
+        numbers[keep] += numbers[gone]
+        numbers[:, keep] = numbers[keep]
+        numbers[keep, keep] = within
+    peak[keep] = max(peak[keep], peak[gone])
+    border = np.full(len(parent), -1, np.int64)
+    for row in range(count):
+        if a[row] == keep or b[row] == keep:
+            border[a[row] + b[row] - keep] = row
+    for row in range(count):
+        if a[row] != gone and b[row] != gone:
+            continue
+        other = a[row] + b[row] - gone
+        if other != keep and border[other] < 0:
+            a[row], b[row] = min(keep, other), max(keep, other)
+            continue
+        into = border[other] if other != keep else -1
+        if into >= 0 and saddle[row] > saddle[into]:
+            saddle[into], corner[into], line[into] = saddle[row], corner[row], line[row]
+        a[row] = -1
+    left = 0
+    for row in range(count):
+        if a[row] >= 0:
+            a[left], b[left] = a[row], b[row]
+            saddle[left], corner[left], line[left] = saddle[row], corner[row], line[row]
+            left += 1
+    return left
+
+
+@njit(cache=True, nogil=True)
+def _merge_all(parent, rows, peak, pairs, seen, weights):  # type: ignore[no-untyped-def]
+    """Merge the best pair until none is positive; return how many pairs are left.
+
+    A pair's visibility is how much one sees of the other, relative to how much it sees of itself.
+    """
+    a, b, saddle, corner, line = rows
+    count = len(a)
+    while True:
+        best, highest = -1, 0.0
+        for row in range(count):
+            x, y = a[row], b[row]
+            across = seen[x, y] / pairs[x, y] if pairs[x, y] > 0 else 0.5
+            own_x = seen[x, x] / pairs[x, x] if pairs[x, x] > 0 else 1.0
+            own_y = seen[y, y] / pairs[y, y] if pairs[y, y] > 0 else 1.0
+            score = (
+                weights[0] * (across / max(0.2, min(own_x, own_y)))
+                + weights[1] * saddle[row] / min(peak[x], peak[y])
+                - weights[2] * line[row]
+                - weights[3] * corner[row]
+                - weights[4]
+            )
+            if score > highest or (best >= 0 and score == highest and (x, y) < (a[best], b[best])):
+                best, highest = row, score
+        if best < 0:
+            return count
+        count = _absorb(a[best], b[best], parent, rows, count, peak, pairs, seen)
 
 
 def merge_pieces(
@@ -104,18 +162,11 @@ def merge_pieces(
         pairs=features.pairs.copy(),
         seen=features.seen.copy(),
     )
-    while len(state.a):
-        score = (
-            config.visibility * state.visibility()
-            + config.saddle * state.saddle / np.minimum(state.peak[state.a], state.peak[state.b])
-            - config.line * state.line
-            - config.corner * state.corner
-            - config.threshold
-        )
-        best = int(np.argmax(score))
-        if score[best] <= 0:
-            break
-        state.merge(int(state.a[best]), int(state.b[best]))
+    rows = (state.a, state.b, state.saddle, state.corner, state.line)
+    weights = np.array(
+        [config.visibility, config.saddle, config.line, config.corner, config.threshold]
+    )
+    state.sort(_merge_all(state.parent, rows, *state.counts(), weights))
     if config.corridors:
         _join_corridors(state, pieces, distance * RASTER, config.corridor_width)
     regions = np.zeros(len(state.parent) + 1, np.int32)
