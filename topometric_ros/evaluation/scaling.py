@@ -37,6 +37,9 @@ ROWS = "scaling.csv"
 _HEAD = ("rooms", "agents", "measure", "value")
 _WARM_UP = (3, 2)
 
+_MOST_OF_STOREY = 300
+"""Rooms along one corridor, some 450 m: more of them are put on further storeys."""
+
 Measures = dict[str, float]
 """`extract.<stage>` and `merge.<stage>`: CPU seconds, of all agents or pairs together;
 `extract.peak_mb`, `merge.peak_mb`; `points`, `voxels`, `map_bytes` (CDR): of the largest agent;
@@ -121,7 +124,8 @@ def measure(size: Size, *, timeout: float) -> Measures:
 
 def sample_clouds(size: Size, folder: Path) -> Measures:
     """Write each agent's points, in a frame of its own, and that frame."""
-    building = load_building(f"office:seed=1,rooms={size.rooms}")
+    storeys = -(-size.rooms // _MOST_OF_STOREY)
+    building = load_building(f"office:seed=1,rooms={size.rooms},storeys={storeys}")
     low, high = building.vertices[:, 0].min(), building.vertices[:, 0].max()
     step = (high - low) / (size.agents + 1)
     most = 0
