@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +63,7 @@ def surface_of(topometric_map: TopometricMap) -> Surface:
     sided = np.zeros(len(points), dtype=bool)
     for storey in topometric_map.storeys:
         _side_walls(storey, points, normals, sided)
-        _side_slabs(storey, points, normals, sided)
+    _side_slabs(topometric_map.storeys, points, normals, sided)
     return Surface(points, normals, sided, topometric_map.voxel_size)
 
 
@@ -86,18 +87,28 @@ def _side_walls(
 
 
 def _side_slabs(
-    storey: Storey,
+    storeys: Sequence[Storey],
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
     sided: NDArray[np.bool_],
 ) -> None:
-    """Turn the normals of a storey's floor up and of its ceiling down, in place."""
-    flat = np.abs(normals[:, 2]) > 0.8
-    for z, sign in ((storey.floor_z, 1.0), (storey.ceiling_z, -1.0)):
-        if z is not None:
-            rows = np.flatnonzero(flat & (np.abs(points[:, 2] - z) < _SLAB))
-            normals[rows] *= (sign * np.sign(normals[rows, 2]))[:, None]
-            sided[rows] = True
+    """Turn the normals of floors up and of ceilings down, in place.
+
+    The faces of a thin slab lie nearer to each other than points may lie off a face, so the nearest
+    face counts: a ceiling taken for the floor upon it lifts a map by the thickness of the slab.
+    """
+    faces = [(s.floor_z, 1.0) for s in storeys]
+    faces += [(s.ceiling_z, -1.0) for s in storeys if s.ceiling_z is not None]
+    if not faces:
+        return
+    rows = np.flatnonzero(np.abs(normals[:, 2]) > 0.8)
+    z, sign = np.array(faces).T
+    distance = np.abs(points[rows, 2][:, None] - z)
+    nearest = distance.argmin(axis=1)
+    near = distance[np.arange(len(rows)), nearest] < _SLAB
+    rows, nearest = rows[near], nearest[near]
+    normals[rows] *= (sign[nearest] * np.sign(normals[rows, 2]))[:, None]
+    sided[rows] = True
 
 
 def _seen_free(storey: Storey, points: NDArray[np.float64]) -> NDArray[np.bool_]:
