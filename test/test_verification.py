@@ -222,6 +222,15 @@ def test_a_small_map_within_another_may_be_part_of_a_twin():
     assert "let the smaller map grow" in decision.reason
 
 
+def test_one_room_of_the_few_that_a_map_has_does_not_tell_twin_flats_apart():
+    room = {"free_floor": 12.0, "furniture_judged": 76}
+    decision = decide([at(0.0, good(**room, free_share=0.39))], CONFIG)
+    assert decision.status is AlignmentStatus.AMBIGUOUS
+    assert "only 12 m², at least 15 m² are needed" in decision.reason
+    # Of a map with much more in it the rest speaks for the pose.
+    assert decide([at(0.0, good(**room, free_share=0.2))], CONFIG).status is not decision.status
+
+
 def test_a_small_part_that_repeats_in_the_maps_is_ambiguous():
     decision = decide([at(0.0)], CONFIG)
     assert doubt_repeated(decision, GOOD, 0.2, CONFIG) == decision

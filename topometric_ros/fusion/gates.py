@@ -23,6 +23,10 @@ _ACROSS_AT_ALL = 1.0
 _PART = 0.75
 """Of `twin_share`: the share of the smaller map's floor from which it is a part of the other."""
 
+_ROOM, _ROOM_PART = 15.0, 0.3
+"""Floor in common (m²) of a room, and the share of the smaller map's floor from which no more than
+that says where it lies: twin flats have rooms that are alike to the furniture."""
+
 _HALF, _OTHERWISE = 0.5, 0.06
 """Of `twin_share`, and furniture in conflict beyond doubt, from which as much may be another flat,
 furnished otherwise: rooms of one kind are furnished much alike."""
@@ -249,8 +253,15 @@ def may_be_a_twin(
 
 
 def _is_part(e: Evidence, config: VerificationConfig) -> bool:
-    """Whether the smaller map is a small part of the other."""
-    return e.free_share >= _PART * config.twin_share and e.free_floor < config.twin_part
+    """Whether the smaller map is a small part of the other, or shares one room of a few with it."""
+    return e.free_floor < _least_floor(e, config)
+
+
+def _least_floor(e: Evidence, config: VerificationConfig) -> float:
+    """Return the floor (m²) that a part must have in common to be no part of an identical flat."""
+    if e.free_share >= _PART * config.twin_share:
+        return config.twin_part
+    return min(_ROOM, config.twin_part) if e.free_share >= _ROOM_PART else 0.0
 
 
 def why_a_twin(e: Evidence, config: VerificationConfig) -> str:
@@ -258,8 +269,8 @@ def why_a_twin(e: Evidence, config: VerificationConfig) -> str:
     if _is_part(e, config):
         return (
             f"one map holds {e.free_share:.0%} of the floor of the other, only {e.free_floor:.0f} "
-            f"m², at least {config.twin_part:g} m² are needed: a part of an identical flat would "
-            "look the same, let the smaller map grow"
+            f"m², at least {_least_floor(e, config):g} m² are needed: a part of an identical flat "
+            "would look the same, let the smaller map grow"
         )
     return (
         f"one map holds {e.free_share:.0%} of the floor of the other, so little else tells where "
