@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import resource
 import signal
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -26,23 +28,27 @@ MANAGED = "topometric_ros.nodes.managed"
 WORK_S = 180.0
 
 
-def room_map(agent: str, sequence: int = 1, session: str = "s1", width: float = 4.0) -> Any:
-    """Return one room's map as a message of rclpy's classes."""
+@cache
+def extracted_room(width: float) -> Any:
+    """Return the map of one room."""
     from topometric_ros.extraction.config import extraction_preset
     from topometric_ros.matching.config import matching_preset
-    from topometric_ros.nodes.messages import message_classes
     from topometric_ros.runtime.extract_map import extract_map
+
+    points = box_room((0.0, 0.0, 0.0), (width, 5.0, 2.6))
+    presets = extraction_preset("default"), matching_preset("default")
+    names = {"agent": "a", "session": "s1", "sequence": 1, "frame_id": "a/map"}
+    return extract_map(points, *presets, **names, stamp=1).map
+
+
+def room_map(agent: str, sequence: int = 1, session: str = "s1", width: float = 4.0) -> Any:
+    """Return one room's map as a message of rclpy's classes."""
+    from topometric_ros.nodes.messages import message_classes
     from topometric_ros.runtime.message_codec import map_to_message
 
     names = {"agent": agent, "session": session, "sequence": sequence, "frame_id": f"{agent}/map"}
-    made = extract_map(
-        box_room((0.0, 0.0, 0.0), (width, 5.0, 2.6)),
-        extraction_preset("default"),
-        matching_preset("default"),
-        **names,
-        stamp=1,
-    )
-    return map_to_message(made.map, message_classes())
+    made = dataclasses.replace(extracted_room(width), **names)
+    return map_to_message(made, message_classes())
 
 
 class Fleet:

@@ -36,7 +36,7 @@ from topometric_ros.runtime.extractor_session import ExtractorSession
 from topometric_ros.runtime.message_codec import map_to_message
 
 _TRANSFORMS_WAITING = 100_000
-_PACE_S = 0.2
+_PACE_S = 0.5
 _REPORT_S = 1.0
 _SETTLE_S = 1.0
 
@@ -103,7 +103,8 @@ class Extractor(TopometricNode):
     def _begin(self) -> None:
         self._worker = Worker(self._work, self.failed)
         serve(self)
-        tf.listen(self, self._on_transforms)
+        if self._own.mode != "map":
+            tf.listen(self, self._on_transforms)
         self._cloud = CloudSubscription(self, self._own.cloud_qos, self._on_cloud)
         self.every(_PACE_S, self._tick)
         self.every(_REPORT_S, self._publish_diagnostics)
@@ -119,6 +120,7 @@ class Extractor(TopometricNode):
             self._first_cloud = time.monotonic()
         self.report.received += 1
         self.clouds.put(message)
+        self._worker.wake()
 
     def _on_transforms(self, message: TFMessage, static: bool) -> None:
         self._transforms.put((tf.without_parent(message, self._own.global_frame), static))

@@ -203,6 +203,7 @@ class Merger(TopometricNode):
             if self._said.get(x.agents) != said and not x.reason.endswith(WAITING):
                 self.get_logger().info(f"{' and '.join(x.agents)}: {x.status}: {x.reason}")
                 self._said[x.agents] = said
+                self.report.since[x.agents] = self.get_clock().now().nanoseconds
         self._places.note(self.session, self._wanted.global_frame)
 
     def _offers_expected(self) -> bool:

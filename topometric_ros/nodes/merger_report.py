@@ -53,6 +53,8 @@ class MergerReport:
     placed: Placed | None = None
     waiting: int = 0
     """Pairs that are still to be aligned with the newest maps."""
+    since: dict[tuple[str, str], int] = field(default_factory=dict)
+    """When the present verdict on each pair was come to, ns."""
     failure: str = ""
     unsaved: str = ""
     """Why the state could not be written, if so."""
@@ -68,7 +70,9 @@ class MergerReport:
             placement, gone = placements.get(agent), self.gone.get(agent)
             result.append(_agent(node, entry, placement, now, gone))
         alignments = self.placed.alignments if self.placed else ()
-        return result + [_alignment(node, alignment) for alignment in alignments]
+        return result + [
+            _alignment(node, x, now - self.since.get(x.agents, now)) for x in alignments
+        ]
 
     def _merge(self, node: str) -> Status:
         if self.failure:
@@ -118,15 +122,16 @@ def _agent(
     return Status(name, Level.OK if known else Level.WARN, text, values)
 
 
-def _alignment(node: str, alignment: Alignment) -> Status:
+def _alignment(node: str, alignment: Alignment, age: int) -> Status:
     values = {
         "status": alignment.status.value,
+        "age [s]": age * _NANOSECONDS,
         "confidence": float(alignment.confidence),
         "overlap": float(alignment.overlap),
         "rmse [m]": float(alignment.rmse),
         "score": float(alignment.score),
         "matches": len(alignment.matches),
-        "alternatives": len(alignment.alternatives),
+        "candidates": len(alignment.alternatives) + alignment.accepted,
     }
     name = f"{node}: alignment {' - '.join(alignment.agents)}"
     text = f"{alignment.status}: {alignment.reason}"

@@ -27,7 +27,7 @@ BAD_INPUT = 2
 END_S = 3.0
 """How long a process that is told to end waits for what is being computed."""
 
-_LOOK_S = 0.2
+_LOOK_S = 0.5
 _CALLBACKS_S = 2.0
 
 
