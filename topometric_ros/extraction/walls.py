@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.configuration import parameter
-from topometric_ros.extraction.columns import NOTHING, Columns
+from topometric_ros.extraction.columns import Columns
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
 from topometric_ros.voxels.grid import bounds
 
@@ -205,8 +205,7 @@ def storey_raster(
     closing = config.closing / RASTER
     flight = np.zeros(shape, bool)
     if config.sloped_roofs:
-        above = columns.above[members]
-        treads = count(bottom, height - _TOP, (above > _HEADROOM) & (above < NOTHING)) > 0
+        treads = count(bottom, height - _TOP, columns.above[members] > _HEADROOM) > 0
         support = count(0.3, 1.5) >= config.roof_support
         flight = opened(closed(treads, 1) & ~ndimage.binary_dilation(support, _EIGHT), closing)
         wall = _without_roofs(wall, support, flight, closing)
