@@ -9,6 +9,7 @@ direction only and says little, for desks are pushed against walls everywhere.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,11 +43,12 @@ _FIXED = 4.0
 _KEPT = 0.04
 """Offset in metres up to which a piece stands where it stood: drift moves whole rooms so far."""
 
-_FEWEST_PIECES, _LEAST_KEPT = 5, 0.5
-"""Pieces that must be fixed, seen from either map, and the share that must stand where it stood.
+_BY_CHANCE, _SURE = 0.3, 0.02
+"""Share of the pieces that stand alike in a flat furnished to the same plan, and how unlikely it
+must be that as many do by chance.
 
-Right poses with a fifth of the furniture moved: 5 to 61 pieces and 0.79 to 1.00; made flats, alike
-to the millimetre in part: 3 pieces at most (docs/benchmarks.md)."""
+Right poses with a fifth of the furniture moved: 4 of 4 to 50 of 61; made flats alike to the
+millimetre in part: 3 of 3 at most (docs/benchmarks.md)."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,18 @@ def stands_as_before(
     T_a_b : (4, 4) float64, m, registered to a centimetre or so
     """
     ways = (laid_on(a, b, T_a_b), laid_on(b, a, inverse(T_a_b)))
-    fixed = sum(way.fixed for way in ways)
-    kept = sum(way.kept for way in ways)
-    return min(way.fixed for way in ways) >= _FEWEST_PIECES and kept >= _LEAST_KEPT * fixed
+    # Most pieces were seen by both, so each is counted twice.
+    fixed = math.ceil(sum(way.fixed for way in ways) / 2)
+    kept = sum(way.kept for way in ways) // 2
+    return fixed > 0 and _chance(fixed, kept) < _SURE
+
+
+def _chance(fixed: int, kept: int) -> float:
+    """Return how likely as many of the fixed pieces or more stand alike by chance."""
+    return sum(
+        math.comb(fixed, k) * _BY_CHANCE**k * (1.0 - _BY_CHANCE) ** (fixed - k)
+        for k in range(kept, fixed + 1)
+    )
 
 
 def laid_on(
