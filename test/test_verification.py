@@ -227,6 +227,10 @@ def test_one_room_of_the_few_that_a_map_has_does_not_tell_twin_flats_apart():
     decision = decide([at(0.0, good(**room, free_share=0.39))], CONFIG)
     assert decision.status is AlignmentStatus.AMBIGUOUS
     assert "only 12 m², at least 15 m² are needed" in decision.reason
+    # Few cells of furniture are no proof against a pose, but here they count.
+    little = {**room, "furniture_judged": 18, "furniture_conflict_cells": 5}
+    moved = decide([at(0.0, good(**little, furniture_conflict=0.28, free_share=0.2))], CONFIG)
+    assert moved.status is AlignmentStatus.AMBIGUOUS
     # Of a map with much more in it the rest speaks for the pose.
     assert decide([at(0.0, good(**room, free_share=0.2))], CONFIG).status is not decision.status
 

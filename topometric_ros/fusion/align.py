@@ -18,7 +18,7 @@ from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, 
 from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose
-from topometric_ros.fusion.gates import missed_gate, objection
+from topometric_ros.fusion.gates import may_be_a_twin, missed_gate, objection, why_a_twin
 from topometric_ros.fusion.judge import judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
@@ -30,7 +30,7 @@ from topometric_ros.fusion.registration import (
 )
 from topometric_ros.fusion.rivals import Judged
 from topometric_ros.fusion.scale import stretch, unlike_scale
-from topometric_ros.fusion.verification import Decision
+from topometric_ros.fusion.verification import TWIN_TRUST, Decision
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate
 from topometric_ros.matching.propose import room_distances
@@ -107,7 +107,33 @@ def _aligned(
         return replace(
             refused, alternatives=alternatives, confidence=decision.confidence, score=score
         )
-    return _registered(a, b, judged[decision.best], decision, config, watch)
+    aligned = _registered(a, b, judged[decision.best], decision, config, watch)
+    return aligned if prior is not None else _unless_a_twin(a, b, aligned, config)
+
+
+def _unless_a_twin(
+    a: Prepared, b: Prepared, alignment: Alignment, config: MergeConfig
+) -> Alignment:
+    """Doubt an accepted alignment that looks like an identical flat only where it was registered.
+
+    Before, furniture in conflict may be too few cells to count.
+    """
+    if not alignment.accepted or alignment.T_a_b is None:
+        return alignment
+    T = a.map.T_level_input @ alignment.T_a_b @ inverse(b.map.T_level_input)
+    evidence = evaluate(a.fields, b.fields, T, _scoring(config))
+    # Whether furniture stands as before was asked when it was decided.
+    if not may_be_a_twin(evidence, config.verification, lambda: True):
+        return alignment
+    refused = _refused(a, b, AlignmentStatus.AMBIGUOUS, why_a_twin(evidence, config.verification))
+    pose = Alternative(alignment.T_a_b, evidence.value)
+    trust = min(alignment.confidence, TWIN_TRUST)
+    return replace(
+        refused,
+        alternatives=(pose, *alignment.alternatives),
+        confidence=trust,
+        score=alignment.score,
+    )
 
 
 def _registered(

@@ -25,7 +25,8 @@ _PART = 0.75
 
 _ROOM, _ROOM_PART = 15.0, 0.3
 """Floor in common (m²) of a room, and the share of the smaller map's floor from which no more than
-that says where it lies: twin flats have rooms that are alike to the furniture."""
+that says where it lies: twin flats have rooms that are alike to the furniture. Less of the map in
+common is as little where the furniture conflicts, if only by a few cells."""
 
 _HALF, _OTHERWISE = 0.5, 0.06
 """Of `twin_share`, and furniture in conflict beyond doubt, from which as much may be another flat,
@@ -261,7 +262,8 @@ def _least_floor(e: Evidence, config: VerificationConfig) -> float:
     """Return the floor (m²) that a part must have in common to be no part of an identical flat."""
     if e.free_share >= _PART * config.twin_share:
         return config.twin_part
-    return min(_ROOM, config.twin_part) if e.free_share >= _ROOM_PART else 0.0
+    room = e.free_share >= _ROOM_PART or e.furniture_conflict > config.furniture_conflict
+    return min(_ROOM, config.twin_part) if room else 0.0
 
 
 def why_a_twin(e: Evidence, config: VerificationConfig) -> str:

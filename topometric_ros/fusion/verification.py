@@ -26,7 +26,7 @@ _RULES = 33
 _CALIBRATED = 1.85
 """Exponent of a margin in the odds of a pose that leads by it."""
 
-_TWIN_TRUST = 0.45
+TWIN_TRUST = 0.45
 """Greatest confidence in a pose that an identical flat would have too."""
 
 
@@ -104,7 +104,7 @@ def decide(
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
     if may_be_a_twin(first, config, lambda: same_furniture(judged[best][0])):
         return decision(
-            AlignmentStatus.AMBIGUOUS, why_a_twin(first, config), min(trust, _TWIN_TRUST)
+            AlignmentStatus.AMBIGUOUS, why_a_twin(first, config), min(trust, TWIN_TRUST)
         )
     return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio, near), trust)
 
@@ -125,7 +125,7 @@ def doubt_repeated(
         f"which fits {share:.0%} as well, at most {config.repeated_share:.0%} allowed: "
         "let the maps share more rooms"
     )
-    trust = min(decision.confidence, _TWIN_TRUST)
+    trust = min(decision.confidence, TWIN_TRUST)
     return replace(decision, status=AlignmentStatus.AMBIGUOUS, reason=reason, confidence=trust)
 
 
