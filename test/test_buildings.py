@@ -34,6 +34,18 @@ def test_a_wall_belongs_to_the_room_that_it_was_seen_from():
     assert building.room_of(wall, towards).tolist() == [0, 1, 0, 2, -1]
 
 
+def test_a_ceiling_far_above_its_room_is_none_of_the_room_upstairs():
+    rooms = (
+        TrueRoom(0, "low", "office", 0, square(0.0, 0.0, 4.0, 4.0), 0.0, 2.4),
+        TrueRoom(1, "upstairs", "office", 1, square(0.0, 0.0, 4.0, 4.0), 3.2, 5.6),
+    )
+    none = np.empty((0, 3))
+    building = LabelledBuilding("two", none, none.astype(np.int32), rooms, ())
+    places = np.array([[2.0, 2.0, 3.1], [2.0, 2.0, 3.1], [2.0, 2.0, 2.9]])
+    towards = np.array([[0.8, 0.0, -0.6], [0.8, 0.0, 0.6], [0.0, 0.0, -1.0]])
+    assert building.room_of(places, towards).tolist() == [-1, 1, 0]
+
+
 def test_a_hole_in_a_room_is_not_the_room():
     outline = join_rings([square(0, 0, 9, 9), square(3, 3, 6, 6), square(20, 0, 22, 2)])
     none = np.empty((0, 3))

@@ -106,7 +106,8 @@ class LabelledBuilding:
 
         A surface between two rooms belongs to the one it was seen from: the point moves towards
         the scanner until a room contains it, 0.4 m at most. So a slab's upper face belongs to the
-        room above and its lower face to the room below.
+        room above and its lower face to the room below, or to none where that room is modelled as
+        ending farther below it (a suspended ceiling that the model leaves out).
 
         Parameters
         ----------
@@ -122,7 +123,7 @@ class LabelledBuilding:
         for distance in np.arange(_STEP, _REACH + _STEP / 2, _STEP):
             open_points = np.flatnonzero(rooms < 0)
             moved = points[open_points] + distance * towards[open_points]
-            rooms[open_points] = self._rooms_at(moved)
+            rooms[open_points] = self._rooms_at(moved, np.sign(towards[open_points, 2]))
         return rooms
 
     def _room_around(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -136,10 +137,13 @@ class LabelledBuilding:
                 rooms[open_points] = self._rooms_at(moved)
         return rooms
 
-    def _rooms_at(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Room whose outline contains each point, -1 none."""
+    def _rooms_at(
+        self, points: NDArray[np.float64], upwards: NDArray[np.float64] | None = None
+    ) -> NDArray[np.int32]:
+        """Room whose outline contains each point, -1 none; `upwards` as in the loop below."""
         ids, heights, ends, corners = self._outlines
-        rooms: NDArray[np.int32] = _rooms_at(points, ids, heights, ends, corners, _REACH)
+        sides = np.zeros(len(points)) if upwards is None else upwards
+        rooms: NDArray[np.int32] = _rooms_at(points, sides, ids, heights, ends, corners, _REACH)
         return rooms
 
     def _room_of_nearest(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -198,14 +202,19 @@ def join_rings(rings: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True)
-def _rooms_at(points, ids, heights, ends, corners, reach):  # type: ignore[no-untyped-def]
-    """Room of each point: inside the polygon, and nearest to the room's range of heights."""
+def _rooms_at(points, upwards, ids, heights, ends, corners, reach):  # type: ignore[no-untyped-def]
+    """Room of each point: inside the polygon, and nearest to the room's range of heights.
+
+    A point seen from above (`upwards` 1) is in no room below it, one from below (-1) in none above.
+    """
     rooms = np.full(len(points), -1, dtype=np.int32)
     for i in range(len(points)):
         x, y, z = points[i]
         nearest = reach
         for k in range(len(ids)):
             gap = max(heights[k, 0] - z, z - heights[k, 1], 0.0)
+            if (upwards[i] > 0.0 and z > heights[k, 1]) or (upwards[i] < 0.0 and z < heights[k, 0]):
+                continue
             if gap > nearest or (gap == nearest and rooms[i] >= 0):
                 continue
             inside = False
