@@ -214,6 +214,13 @@ def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
     assert decide([at(0.0, moved)], days).status is AlignmentStatus.ACCEPTED
 
 
+def test_half_of_a_small_map_is_little_where_some_furniture_stands_elsewhere():
+    half = {"free_share": 0.56, "free_floor": 25.0, "furniture_judged": 108}
+    assert decide([at(0.0, good(**half))], CONFIG).status is AlignmentStatus.ACCEPTED
+    moved = good(**half, furniture_conflict_cells=7, furniture_conflict=0.065)
+    assert decide([at(0.0, moved)], CONFIG).status is AlignmentStatus.AMBIGUOUS
+
+
 def test_a_small_map_within_another_may_be_part_of_a_twin():
     part = good(free_share=0.7, free_floor=30.0, furniture_judged=120)
     decision = decide([at(0.0, part)], CONFIG)

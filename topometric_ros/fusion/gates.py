@@ -20,8 +20,9 @@ _ACROSS_ENOUGH = 2.5
 _ACROSS_AT_ALL = 1.0
 """Wall that runs across (m) without which no slide is asked: two corridors side by side."""
 
-_PART = 0.75
-"""Of `twin_share`: the share of the smaller map's floor from which it is a part of the other."""
+_PART, _PART_DIFFERS = 0.75, 0.6
+"""Of `twin_share`: the share of the smaller map's floor from which it is a part of the other, and
+where some of the furniture stands elsewhere."""
 
 _ROOM, _ROOM_PART = 15.0, 0.3
 """Floor in common (m²) of a room, and the share of the smaller map's floor from which no more than
@@ -242,15 +243,21 @@ def may_be_a_twin(
     little more than a room was seen of it. Where much furniture conflicts, `same_furniture` tells
     whether the rest is the same to the centimetre.
     """
-    differs = (
-        e.furniture_conflict_cells >= _FURNITURE_CLUMP
-        and e.furniture_conflict >= config.twin_furniture
-    )
     moved = config.changed_furniture and e.free_floor >= config.twin_floor
     differently = _furniture_elsewhere(e) >= _OTHERWISE and not moved
     otherwise = differently and e.free_share >= _HALF * config.twin_share
-    whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor and differs
-    return whole or _is_part(e, config) or (otherwise and not same_furniture())
+    whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor
+    return (
+        (whole and _differs(e, config))
+        or _is_part(e, config)
+        or (otherwise and not same_furniture())
+    )
+
+
+def _differs(e: Evidence, config: VerificationConfig) -> bool:
+    """Whether any furniture stands elsewhere: more than a cell or two that err together."""
+    many = e.furniture_conflict_cells >= _FURNITURE_CLUMP
+    return many and e.furniture_conflict >= config.twin_furniture
 
 
 def _is_part(e: Evidence, config: VerificationConfig) -> bool:
@@ -260,7 +267,8 @@ def _is_part(e: Evidence, config: VerificationConfig) -> bool:
 
 def _least_floor(e: Evidence, config: VerificationConfig) -> float:
     """Return the floor (m²) that a part must have in common to be no part of an identical flat."""
-    if e.free_share >= _PART * config.twin_share:
+    least = _PART_DIFFERS if _differs(e, config) else _PART
+    if e.free_share >= least * config.twin_share:
         return config.twin_part
     room = e.free_share >= _ROOM_PART or e.furniture_conflict > config.furniture_conflict
     return min(_ROOM, config.twin_part) if room else 0.0
