@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
+import pytest
 
 from test.helpers import yaw_transform
 from test.helpers_io import random_map
 from test.helpers_sessions import flat_map
 from topometric_ros.alignment import WAITING, Alignment, AlignmentStatus
 from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.io.bag_messages import message_classes
+from topometric_ros.matching.evidence import Evidence
+from topometric_ros.runtime import stability
 from topometric_ros.runtime.alignment_codec import alignments_to_message, offers_from_message
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.merger_state import Known, MergerState, version_of
@@ -50,6 +55,29 @@ def test_what_was_accepted_holds_for_a_new_map_before_the_pair_has_its_turn() ->
     merger.align(limit=1)
     assert merger.waiting == 0
     np.testing.assert_allclose(merger.transforms()["b"], RIGHT, atol=0.05)
+
+
+def test_furniture_that_was_moved_takes_nothing_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    merger = merger_that_knows(RIGHT)
+    real = stability.evaluate
+
+    def seen(*arguments: Any) -> Evidence:
+        return dataclasses.replace(
+            real(*arguments), free_floor=60.0, agreed_wall=60.0, smallest_eigenvalue=20.0,
+            furniture_judged=300, furniture_conflict_cells=75, furniture_conflict=0.25,
+        )  # fmt: skip
+
+    monkeypatch.setattr(stability, "evaluate", seen)
+    merger.add_map(next_version(flat_map("b", 1)))
+    (x,) = merger.align(limit=0).alignments
+    assert x.accepted
+    # Whether a rival comes near is only known once the maps were searched.
+    config = MergeConfig()
+    a, b = (
+        Prepared(m, config.search.scoring, config.matching) for m in (flat_map("a"), flat_map("b"))
+    )
+    refused = Alignment(("a", "b"), AlignmentStatus.AMBIGUOUS, "another pose fits nearly as well")
+    assert stability.steadier(x, 1e9, refused, a, b, config)[0] is refused
 
 
 def test_what_a_new_map_contradicts_is_not_used_until_it_is_found_anew() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 from topometric_ros.alignment import Alignment
 from topometric_ros.fusion.align import Prepared
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.fusion.gates import missed_gate
-from topometric_ros.fusion.poses import angle, apart, inverse, level_frames
-from topometric_ros.matching.evidence import evaluate
+from topometric_ros.fusion.gates import missed_gate, objection
+from topometric_ros.fusion.poses import Transform, angle, apart, inverse, level_frames
+from topometric_ros.matching.evidence import Evidence, evaluate
 
 logger = logging.getLogger(__name__)
 
@@ -42,13 +42,21 @@ def standing(
     """Return an accepted alignment as it stands on two maps, and what they say against it, if so.
 
     It gets the score that its transform has on them and loses the matches of rooms that are gone.
+    What may conflict where no rival comes near, such as furniture that was moved, may do so here:
+    for rivals the maps were searched when it was accepted, and will be again.
     """
     if not alignment.accepted or alignment.T_a_b is None:
         return alignment, None
-    T_level = level_frames(alignment.T_a_b, a.map.T_level_input, b.map.T_level_input)
-    evidence = evaluate(a.fields, b.fields, T_level, config.search.scoring)
-    objection = missed_gate(evidence, config.verification) if config.check != "none" else None
-    return _kept(alignment, evidence.value, a, b), objection
+    evidence = _evidence_of(alignment.T_a_b, a, b, config)
+    kept = _kept(alignment, evidence.value, a, b)
+    if config.check == "none":
+        return kept, None
+    return kept, objection(evidence, np.inf, 0.0, config.verification)
+
+
+def _evidence_of(T_a_b: Transform, a: Prepared, b: Prepared, config: MergeConfig) -> Evidence:
+    T_level = level_frames(T_a_b, a.map.T_level_input, b.map.T_level_input)
+    return evaluate(a.fields, b.fields, T_level, config.search.scoring)
 
 
 def steadier(
@@ -77,11 +85,15 @@ def steadier(
     if old.T_a_b is None:
         return new, support(new, a, b)
     name = f"{old.agents[0]} and {old.agents[1]}"
-    kept, objection = standing(old, a, b, config)
-    if objection is not None:
+    kept, against = standing(old, a, b, config)
+    if against is None and not new.accepted and config.check != "none":
+        # The new maps do not say that no rival comes near, so nothing may conflict.
+        evidence = _evidence_of(old.T_a_b, a, b, config)
+        against = missed_gate(evidence, config.verification)
+    if against is not None:
         logger.info(
             "%s: the alignment in use no longer holds (%s); now %s, score %.3f after %.3f",
-            *(name, objection, new.status, new.score, kept.score),
+            *(name, against, new.status, new.score, kept.score),
         )
         return new, support(new, a, b)
     if not new.accepted or new.T_a_b is None:
