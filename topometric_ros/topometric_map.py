@@ -57,6 +57,14 @@ class StoreyLayers:
                     f"got {mask.dtype} {mask.shape}"
                 )
 
+    def cells_at(
+        self, positions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the cells (n, 2) at positions (n, 2), m, or (0, 0), and which (n,) are inside."""
+        cells = np.floor((positions - self.origin) / self.cell + 0.5).astype(np.int64)
+        inside = np.all((cells >= 0) & (cells < self.wall.shape), axis=1)
+        return np.where(inside[:, None], cells, 0), inside
+
 
 @dataclass(frozen=True)
 class Storey:

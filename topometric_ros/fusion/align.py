@@ -107,33 +107,8 @@ def _aligned(
         return replace(
             refused, alternatives=alternatives, confidence=decision.confidence, score=score
         )
-    aligned = _registered(a, b, judged[decision.best], decision, config, watch)
-    return aligned if prior is not None else _unless_a_twin(a, b, aligned, config)
-
-
-def _unless_a_twin(
-    a: Prepared, b: Prepared, alignment: Alignment, config: MergeConfig
-) -> Alignment:
-    """Doubt an accepted alignment that looks like an identical flat only where it was registered.
-
-    Before, furniture in conflict may be too few cells to count.
-    """
-    if not alignment.accepted or alignment.T_a_b is None:
-        return alignment
-    T = a.map.T_level_input @ alignment.T_a_b @ inverse(b.map.T_level_input)
-    evidence = evaluate(a.fields, b.fields, T, _scoring(config))
-    # Whether furniture stands as before was asked when it was decided.
-    if not may_be_a_twin(evidence, config.verification, lambda: True):
-        return alignment
-    refused = _refused(a, b, AlignmentStatus.AMBIGUOUS, why_a_twin(evidence, config.verification))
-    pose = Alternative(alignment.T_a_b, evidence.value)
-    trust = min(alignment.confidence, TWIN_TRUST)
-    return replace(
-        refused,
-        alternatives=(pose, *alignment.alternatives),
-        confidence=trust,
-        score=alignment.score,
-    )
+    best = judged[decision.best]
+    return _registered(a, b, best, decision, config, watch, ask_twins=prior is None)
 
 
 def _registered(
@@ -143,8 +118,13 @@ def _registered(
     decision: Decision,
     config: MergeConfig,
     watch: Stopwatch,
+    ask_twins: bool,
 ) -> Alignment:
-    """Register an accepted candidate and judge it again where it ends."""
+    """Register an accepted candidate and judge it again where it ends.
+
+    With `ask_twins` also whether an identical flat would look the same: before, furniture in
+    conflict may have been too few cells to count.
+    """
     candidate = best[0]
     alternatives = _alternatives(a, b, decision)
     try:
@@ -167,6 +147,16 @@ def _registered(
     if refusal is not None:
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {refusal}")
         return replace(refused, alternatives=alternatives, score=evidence.value)
+    # Whether furniture stands as before was asked when it was decided.
+    if ask_twins and may_be_a_twin(evidence, config.verification, lambda: True):
+        told = why_a_twin(evidence, config.verification)
+        pose = Alternative(_to_input(a, b, T), evidence.value)
+        return replace(
+            _refused(a, b, AlignmentStatus.AMBIGUOUS, told),
+            alternatives=(pose, *alternatives[1:]),
+            confidence=min(decision.confidence, TWIN_TRUST),
+            score=evidence.value,
+        )
     return _accepted(a, b, result, decision, alternatives[1:], evidence, config, watch)
 
 

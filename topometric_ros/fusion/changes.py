@@ -73,9 +73,7 @@ class _Witness:
         for floor, layers, eroded in self._storeys:
             height = points[:, 2] - floor
             rows = np.flatnonzero((height > _LOWEST) & (height < _HIGHEST))
-            flat = np.floor((points[rows, :2] - layers.origin) / layers.cell + 0.5)
-            cells = flat.astype(np.int64)
-            inside = np.all((cells >= 0) & (cells < eroded.shape), axis=1)
+            cells, inside = layers.cells_at(points[rows, :2])
             bare = eroded if deep else layers.bare
             found[rows[inside]] |= bare[cells[inside, 0], cells[inside, 1]]
         return found

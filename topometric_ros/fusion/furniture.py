@@ -51,6 +51,10 @@ Right poses with a fifth of the furniture moved: 4 of 4 to 50 of 61; made flats 
 millimetre in part: 3 of 3 at most (docs/benchmarks.md)."""
 
 
+Furniture = tuple[Surface, NDArray[np.int64]]
+"""Upright faces of furniture, and the number (n,) of the piece of each."""
+
+
 @dataclass(frozen=True)
 class Pieces:
     """How many pieces are fixed in both directions of the plan, and how many were not moved."""
@@ -69,7 +73,8 @@ def stands_as_before(
     a, b : maps with their surfaces (`fusion.surface.surface_of`), level frames
     T_a_b : (4, 4) float64, m, registered to a centimetre or so
     """
-    ways = (laid_on(a, b, T_a_b), laid_on(b, a, inverse(T_a_b)))
+    of_a, of_b = furniture_of(*a), furniture_of(*b)
+    ways = (laid_on(of_a, of_b, T_a_b), laid_on(of_b, of_a, inverse(T_a_b)))
     # Most pieces were seen by both, so each is counted twice.
     fixed = math.ceil(sum(way.fixed for way in ways) / 2)
     kept = sum(way.kept for way in ways) // 2
@@ -84,12 +89,9 @@ def _chance(fixed: int, kept: int) -> float:
     )
 
 
-def laid_on(
-    a: tuple[TopometricMap, Surface], b: tuple[TopometricMap, Surface], T_a_b: Transform
-) -> Pieces:
+def laid_on(a: Furniture, b: Furniture, T_a_b: Transform) -> Pieces:
     """Lay each piece of furniture of b on the furniture of a, moving it on the plan."""
-    target, _ = _faces(*a)
-    source, piece = _faces(*b)
+    target, (source, piece) = a[0], b
     if len(target) == 0 or len(source) == 0:
         return Pieces(0, 0)
     tree = cKDTree(target.points)
@@ -103,19 +105,15 @@ def laid_on(
     return Pieces(fixed, kept)
 
 
-def _faces(topometric_map: TopometricMap, surface: Surface) -> tuple[Surface, NDArray[np.int64]]:
+def furniture_of(topometric_map: TopometricMap, surface: Surface) -> Furniture:
     """Return the upright faces of furniture, and the number of the piece of each."""
     piece = np.zeros(len(surface), dtype=np.int64)
     around = np.ones((3, 3), dtype=bool)
     for storey in topometric_map.storeys:
         layers, height = storey.layers, surface.points[:, 2] - storey.floor_z
         labels, _ = ndimage.label(ndimage.binary_dilation(layers.furniture, around), around)
-        cells = np.floor((surface.points[:, :2] - layers.origin) / layers.cell + 0.5).astype(int)
-        rows = np.flatnonzero(
-            np.all((cells >= 0) & (cells < labels.shape), axis=1)
-            & (height > _LOWEST)
-            & (height < _HIGHEST)
-        )
+        cells, inside = layers.cells_at(surface.points[:, :2])
+        rows = np.flatnonzero(inside & (height > _LOWEST) & (height < _HIGHEST))
         found = labels[tuple(cells[rows].T)]
         piece[rows[found > 0]] = found[found > 0] + piece.max(initial=0)
     rows = np.flatnonzero((piece > 0) & (np.abs(surface.normals[:, 2]) < _UPRIGHT))

@@ -103,7 +103,5 @@ def _sampled(
     layers: StoreyLayers, positions: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return the flat index of the cell at each position (n, 2), and whether there is one."""
-    cells = np.floor((positions - layers.origin) / layers.cell + 0.5).astype(np.int64)
-    inside = np.all((cells >= 0) & (cells < layers.wall.shape), axis=1)
-    cells = np.where(inside[:, None], cells, 0)
+    cells, inside = layers.cells_at(positions)
     return cells[:, 0] * layers.wall.shape[1] + cells[:, 1], inside

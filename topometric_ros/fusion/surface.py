@@ -113,8 +113,5 @@ def _side_slabs(
 
 def _seen_free(storey: Storey, points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return whether each point (n, 3) stands above seen-free floor."""
-    layers = storey.layers
-    cells = np.floor((points[:, :2] - layers.origin) / layers.cell + 0.5).astype(np.int64)
-    inside = np.all((cells >= 0) & (cells < layers.free.shape), axis=1)
-    cells = np.where(inside[:, None], cells, 0)
-    return inside & layers.free[cells[:, 0], cells[:, 1]]
+    cells, inside = storey.layers.cells_at(points[:, :2])
+    return inside & storey.layers.free[cells[:, 0], cells[:, 1]]
