@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from topometric_ros.alignment import GlobalMap
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.assemble import assemble_rooms
 from topometric_ros.extraction.mapped_rooms import MappedRooms
-from topometric_ros.fusion.changes import ChangesConfig, without_outdated
+from topometric_ros.fusion.changes import ChangesConfig, Placed, without_outdated
 from topometric_ros.fusion.fuse_rooms import (
     Fragment,
     fused_passages,
@@ -29,7 +29,7 @@ from topometric_ros.fusion.fuse_rooms import (
 from topometric_ros.fusion.fuse_storeys import fused_storeys
 from topometric_ros.fusion.nonrigid import NonRigidConfig, bends
 from topometric_ros.fusion.poses import Transform, apply, inverse, level_frames
-from topometric_ros.topometric_map import NO_ROOM, TopometricMap
+from topometric_ros.topometric_map import NO_ROOM, Passage, TopometricMap
 from topometric_ros.voxels.grid import (
     in_morton_order,
     lattice_coordinates,
@@ -87,21 +87,10 @@ def fuse(
     measured anew on them.
     """
     anchor = maps[0]
-    placed = [
-        (index, m, level_frames(T, anchor.T_level_input, m.T_level_input))
-        for index, (m, T) in enumerate(zip(maps, T_global_agent, strict=True))
-        if T is not None
-    ]
-    placed, changes = without_outdated(placed, config.changes)
+    placed, changes = without_outdated(_placed(maps, T_global_agent), config.changes)
     size = max(m.voxel_size for _, m, _ in placed)
     origin = np.asarray(anchor.origin, dtype=np.float64)
-    bent = None
-    if config.nonrigid.enabled and len(placed) > 1:
-        bent = bends([(m, T) for _, m, T in placed], config.nonrigid)
-    clouds = [
-        bent[k].apply(m.surface()) if bent else apply(T, m.surface())
-        for k, (_, m, T) in enumerate(placed)
-    ]
+    clouds = _surfaces(placed, config.nonrigid)
     if sum(map(len, clouds)) == 0:
         return GlobalMap(_empty(anchor, frame_id), np.zeros(0, dtype=np.uint32))
     points = np.concatenate(clouds)
@@ -117,7 +106,6 @@ def fuse(
     ]
     new_id = room_ids(fragments, grid.coords, config.room_overlap)
     room = _labels(fragments, new_id, len(grid))
-    session, sequence = _version([m for _, m, _ in placed])
     known = set(np.unique(room[room != NO_ROOM]).tolist())
     passages = fused_passages(fragments, new_id, known, config.passage_distance)
     mapped = MappedRooms(
@@ -128,25 +116,54 @@ def fuse(
         storeys_of_rooms(fragments, new_id, known),
         storeys,
     )
-    fused = TopometricMap(
-        agent=GLOBAL,
+    fused = _filled(_empty(anchor, frame_id), placed, mapped, passages)
+    return GlobalMap(fused, agents, rooms_by_id(new_id, known), changes)
+
+
+def _placed(
+    maps: Sequence[TopometricMap], T_global_agent: Sequence[Transform | None]
+) -> list[Placed]:
+    """Return the maps that have a place, with their numbers and transforms of level frames."""
+    level = maps[0].T_level_input
+    return [
+        (index, m, level_frames(T, level, m.T_level_input))
+        for index, (m, T) in enumerate(zip(maps, T_global_agent, strict=True))
+        if T is not None
+    ]
+
+
+def _surfaces(placed: Sequence[Placed], config: NonRigidConfig) -> list[NDArray[np.float64]]:
+    """Return each map's surface (N, 3) in the global level frame, m, rooms moved where asked."""
+    asked = config.enabled and len(placed) > 1
+    bent = bends([(m, T) for _, m, T in placed], config) if asked else None
+    if bent is None:
+        return [apply(T, m.surface()) for _, m, T in placed]
+    return [own.apply(m.surface()) for own, (_, m, _) in zip(bent, placed, strict=True)]
+
+
+def _filled(
+    empty: TopometricMap,
+    placed: Sequence[Placed],
+    mapped: MappedRooms,
+    passages: tuple[Passage, ...],
+) -> TopometricMap:
+    """Return the global map of these rooms, their attributes measured anew."""
+    session, sequence = _version([m for _, m, _ in placed])
+    return replace(
+        empty,
         session=session,
         sequence=sequence,
-        frame_id=anchor.frame_id if frame_id is None else frame_id,
         stamp=max(m.stamp for _, m, _ in placed),
-        voxel_size=size,
-        origin=anchor.origin,
-        voxels=grid.coords,
+        voxel_size=mapped.grid.voxel_size,
+        voxels=mapped.grid.coords,
         offsets=mapped.offsets,
-        room=room,
+        room=mapped.room,
         navigable=mapped.navigable,
         viewpoints=_viewpoints(placed),
         rooms=assemble_rooms(mapped, passages),
         passages=passages,
-        storeys=storeys,
-        T_level_input=anchor.T_level_input,
+        storeys=mapped.storeys,
     )
-    return GlobalMap(fused, agents, rooms_by_id(new_id, known), changes)
 
 
 def _version(maps: Sequence[TopometricMap]) -> tuple[str, int]:
@@ -174,7 +191,7 @@ def _labels(
 
 
 def _navigable(
-    placed: Sequence[tuple[int, TopometricMap, Transform]],
+    placed: Sequence[Placed],
     size: float,
     origin: NDArray[np.float64],
 ) -> NDArray[np.int32]:
@@ -198,7 +215,7 @@ def _navigable(
 
 
 def _viewpoints(
-    placed: Sequence[tuple[int, TopometricMap, Transform]],
+    placed: Sequence[Placed],
 ) -> NDArray[np.float32]:
     """Return all agents' viewpoints in the global level frame: (K, 3) float32, m."""
     parts = [apply(T, m.viewpoints.astype(np.float64)) for _, m, T in placed]
