@@ -12,14 +12,13 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from topometric_ros.runtime.agents_file import (
-    extractor_arguments,
-    merger_arguments,
-    player_arguments,
-    read_agents_file,
+from topometric_ros.runtime.agents_file import read_agents_file
+from topometric_ros.runtime.fleet_processes import (
+    PROFILE,
+    FleetOptions,
+    dds_environment,
+    fleet_processes,
 )
-
-PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -54,7 +53,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "fastdds_profile",
-                default_value=str(config / "fastdds_large_clouds.xml"),
+                default_value=str(config / PROFILE),
                 description="Fast DDS profile, unless the environment names one; empty: none",
             ),
             OpaqueFunction(function=_processes),
@@ -67,23 +66,18 @@ def _processes(context: LaunchContext) -> list[Action]:
     value = {
         name: LaunchConfiguration(name).perform(context) for name in (*names, "fastdds_profile")
     }
-    common = ["--ros-args", "--log-level", value["log_level"]]
-    common += ["-p", f"use_sim_time:={value['use_sim_time'].lower()}"]
-    if value["params_file"]:
-        common += ["--params-file", value["params_file"]]
+    options = FleetOptions(
+        params_file=value["params_file"],
+        use_sim_time=value["use_sim_time"].lower() == "true",
+        log_level=value["log_level"].lower(),
+        managed=value["managed"].lower() == "true",
+    )
     fleet = read_agents_file(value["agents_file"])
-    actions: list[Action] = []
-    if value["fastdds_profile"] and PROFILE_VARIABLE not in os.environ:
-        actions.append(SetEnvironmentVariable(PROFILE_VARIABLE, value["fastdds_profile"]))
-    kind = "managed_" if value["managed"].lower() == "true" else ""
-    actions += [
-        _node(f"{kind}extractor", common + extractor_arguments(fleet, agent))
-        for agent in fleet.agents
+    variables = dds_environment(value["fastdds_profile"], os.environ)
+    return [
+        *(SetEnvironmentVariable(name, text) for name, text in variables.items()),
+        *(_node(p.executable, list(p.arguments)) for p in fleet_processes(fleet, options)),
     ]
-    if fleet.simulation is not None:
-        # It makes the time of the others, so it must not wait for /clock itself.
-        actions.append(_node("player", player_arguments(fleet)))
-    return [*actions, _node(f"{kind}merger", common + merger_arguments(fleet))]
 
 
 def _node(executable: str, arguments: list[str]) -> Node:

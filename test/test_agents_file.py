@@ -14,6 +14,15 @@ from topometric_ros.runtime.agents_file import (
     read_agents_file,
     simulated_fleet,
 )
+from topometric_ros.runtime.fleet_processes import (
+    PROFILE,
+    PROFILE_VARIABLE,
+    FleetError,
+    FleetOptions,
+    dds_environment,
+    fleet_processes,
+    shipped,
+)
 
 
 def test_an_agent_needs_only_an_id() -> None:
@@ -53,6 +62,29 @@ def test_processes_get_their_arguments_from_the_file() -> None:
     assert "__ns:=/base" in merger
     assert "global_frame:=world" in merger
     assert "agents:=[/a, /b]" in merger
+
+
+def test_a_player_takes_no_time_from_the_clock_and_the_agents_file_wins(tmp_path: Path) -> None:
+    params = tmp_path / "params.yaml"
+    params.write_text("{}")
+    options = FleetOptions(str(params), use_sim_time=True, log_level="warn", managed=True)
+    extractor, player, merger = fleet_processes(simulated_fleet({"seed": 3}, 1), options)
+    names = [process.executable for process in (extractor, player, merger)]
+    assert names == ["managed_extractor", "player", "managed_merger"]
+    assert "use_sim_time:=true" in extractor.arguments
+    assert "use_sim_time:=true" in merger.arguments
+    assert not any("use_sim_time" in text for text in player.arguments)
+    told = extractor.arguments
+    assert told.index("--params-file") < told.index("-p"), "rcl lets what is named first lose"
+    with pytest.raises(FleetError, match="expected one of debug, info"):
+        FleetOptions(log_level="loud")
+
+
+def test_a_profile_that_the_environment_names_is_left_alone() -> None:
+    profile = shipped(PROFILE)
+    assert profile is not None
+    assert dds_environment(str(profile), {}) == {PROFILE_VARIABLE: str(profile)}
+    assert dds_environment(str(profile), {PROFILE_VARIABLE: "own.xml"}) == {}
 
 
 def test_an_id_that_is_not_its_namespace_is_told_to_the_merger() -> None:

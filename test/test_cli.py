@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -225,7 +226,7 @@ def test_run_ends_its_processes_with_a_signal_and_says_which_one_ended(tmp_path:
     script = (
         "import sys, time\n"
         "from topometric_ros.cli import run\n"
-        "run._executable = lambda name, module: [sys.executable, '-c', {child!r}]\n"
+        "run._executable = lambda name: [sys.executable, '-c', {child!r}]\n"
         "from topometric_ros.cli.main import main\n"
         "sys.exit(main(['run', sys.argv[1]]))\n"
     )
@@ -254,3 +255,36 @@ def test_a_wrong_agents_file_ends_with_status_2(
     assert "cannot read agents file" in fails(["run", tmp_path / "none.yaml"], capsys)
     assert "expected either AGENTS.yaml or --simulate" in fails(["run"], capsys)
     assert "--agents: expected 1 to 26" in fails(["run", "--simulate", "x", "--agents", 0], capsys)
+    simulated = ["run", "--simulate", "office:rooms=4"]
+    for option in ("--params-file", "--fastdds-profile"):
+        assert "no file nowhere" in fails([*simulated, option, "nowhere"], capsys)
+
+
+def test_run_tells_its_nodes_what_the_launch_file_tells_them(tmp_path: Path) -> None:
+    (tmp_path / "agents.yaml").write_text("agents: [{id: a}]\n")
+    (tmp_path / "params.yaml").write_text("/**: {ros__parameters: {voxel_size: 0.2}}\n")
+    say = "import os, sys; print(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'], *sys.argv[1:])"
+    script = (
+        "import sys\n"
+        "from topometric_ros.cli import run\n"
+        f"run._executable = lambda name: [sys.executable, '-uc', {say!r}, name]\n"
+        "from topometric_ros.cli.main import main\n"
+        "sys.exit(main(['run', *sys.argv[1:]]))\n"
+    )
+    options = ["--params-file", tmp_path / "params.yaml", "--use-sim-time", "--managed", "-v"]
+    told = subprocess.run(
+        [sys.executable, "-c", script, tmp_path / "agents.yaml", *map(str, options)],
+        env={k: v for k, v in os.environ.items() if k != "FASTRTPS_DEFAULT_PROFILES_FILE"},
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    lines = sorted(line.split() for line in told.stdout.splitlines())
+    assert lines, told.stderr
+    assert {line[1] for line in lines} <= {"managed_extractor", "managed_merger"}
+    for profile, _, *arguments in lines:
+        assert Path(profile).name == "fastdds_large_clouds.xml"
+        assert arguments[:3] == ["--ros-args", "--log-level", "debug"]
+        assert "use_sim_time:=true" in arguments
+        assert arguments[arguments.index("--params-file") + 1] == str(tmp_path / "params.yaml")

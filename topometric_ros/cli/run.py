@@ -1,7 +1,7 @@
 """`topometric run`: an extractor for every agent of a file and a merger, as processes.
 
-What the launch file does, where `launch` is not installed. SIGINT and SIGTERM end all of them;
-so does the end of any one. Nothing is restarted.
+What the launch file does, with the same options, where `launch` is not installed. SIGINT and
+SIGTERM end all of them; so does the end of any one. Nothing is restarted.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ from typing import Any
 
 from topometric_ros.cli.common import add_verbose
 from topometric_ros.errors import TopometricError
-from topometric_ros.runtime.agents_file import (
-    AgentsFile,
-    extractor_arguments,
-    merger_arguments,
-    player_arguments,
-    read_agents_file,
-    simulated_fleet,
+from topometric_ros.runtime.agents_file import AgentsFile, read_agents_file, simulated_fleet
+from topometric_ros.runtime.fleet_processes import (
+    LOG_LEVELS,
+    PROFILE,
+    PROFILE_VARIABLE,
+    FleetOptions,
+    dds_environment,
+    fleet_processes,
+    shipped,
 )
 
 _POLL_S = 0.2
@@ -57,30 +59,57 @@ def add_parser(commands: Any) -> None:
     command.add_argument(
         "--agents", dest="count", type=int, default=2, metavar="N", help="how many (default 2)"
     )
+    _add_node_arguments(command)
     add_verbose(command)
     command.set_defaults(command=run)
 
 
+def _add_node_arguments(command: argparse.ArgumentParser) -> None:
+    """Add what the launch file takes too."""
+    command.add_argument(
+        "--params-file",
+        default="",
+        metavar="F",
+        help="ROS parameter file for all nodes; the agents file wins over it",
+    )
+    command.add_argument(
+        "--use-sim-time",
+        action="store_true",
+        help="take the time from /clock, for bags played with --clock",
+    )
+    command.add_argument(
+        "--log-level", choices=LOG_LEVELS, help="of all nodes (default info; with -v debug)"
+    )
+    command.add_argument(
+        "--managed",
+        action="store_true",
+        help="start the managed nodes, which wait for a lifecycle manager",
+    )
+    command.add_argument(
+        "--fastdds-profile",
+        metavar="F",
+        help=f"Fast DDS profile, unless {PROFILE_VARIABLE} names one; '' for none "
+        f"(default: the {PROFILE} that is installed)",
+    )
+
+
 def run(options: argparse.Namespace) -> int:
     """Start the fleet and wait for its end."""
-    fleet = _fleet(options)
+    told = FleetOptions(
+        params_file=options.params_file,
+        use_sim_time=options.use_sim_time,
+        log_level=options.log_level or ("debug" if options.verbose else "info"),
+        managed=options.managed,
+    )
+    profile = options.fastdds_profile
+    if profile is None:
+        profile = str(shipped(PROFILE) or "")
+    environment = {**os.environ, **dds_environment(profile, os.environ)}
     commands = {
-        f"extractor of {agent.id}": [
-            *_executable("topometric-extractor", "extractor"),
-            *extractor_arguments(fleet, agent),
-        ]
-        for agent in fleet.agents
+        process.name: [*_executable(process.executable), *process.arguments]
+        for process in fleet_processes(_fleet(options), told)
     }
-    commands["merger"] = [
-        *_executable("topometric-merger", "merger"),
-        *merger_arguments(fleet),
-    ]
-    if fleet.simulation is not None:
-        commands["player"] = [
-            *_executable("topometric-player", "player"),
-            *player_arguments(fleet),
-        ]
-    return _Fleet(commands).run()
+    return _Fleet(commands, environment).run()
 
 
 def _fleet(options: argparse.Namespace) -> AgentsFile:
@@ -93,18 +122,26 @@ def _fleet(options: argparse.Namespace) -> AgentsFile:
     return simulated_fleet({"building": options.simulate}, options.count)
 
 
-def _executable(name: str, module: str) -> list[str]:
+def _executable(name: str) -> list[str]:
     """Return how to start a node: the script beside this Python, on the PATH, or the module."""
-    beside = Path(sys.executable).with_name(name)
-    found = str(beside) if beside.exists() else shutil.which(name)
-    return [found] if found else [sys.executable, "-m", f"topometric_ros.nodes.{module}"]
+    script = f"topometric-{name.replace('_', '-')}"
+    beside = Path(sys.executable).with_name(script)
+    found = str(beside) if beside.exists() else shutil.which(script)
+    if found:
+        return [found]
+    if name.startswith("managed_"):
+        return [sys.executable, "-m", "topometric_ros.nodes.managed", name.removeprefix("managed_")]
+    return [sys.executable, "-m", f"topometric_ros.nodes.{name}"]
 
 
 class _Fleet:
     """Processes that live and end together."""
 
-    def __init__(self, commands: Mapping[str, Sequence[str]]) -> None:
+    def __init__(
+        self, commands: Mapping[str, Sequence[str]], environment: Mapping[str, str]
+    ) -> None:
         self._commands = commands
+        self._environment = environment
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._stopping = False
 
@@ -128,7 +165,9 @@ class _Fleet:
         for name, command in self._commands.items():
             try:
                 # A session of its own: Ctrl-C reaches the processes once, from here, in order.
-                self._processes[name] = subprocess.Popen(command, start_new_session=True)
+                self._processes[name] = subprocess.Popen(
+                    command, env=self._environment, start_new_session=True
+                )
             except OSError as error:
                 raise RunError(f"{name}: cannot be started: {error}") from error
             print(f"topometric: {name}: process {self._processes[name].pid}", file=sys.stderr)

@@ -14,6 +14,7 @@ import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -204,4 +205,5 @@ def log_to(node: Node) -> None:
     """Send the library's log records to the node's log."""
     library = logging.getLogger("topometric_ros")
     library.addHandler(_ToRos(node.get_logger()))
-    library.setLevel(logging.INFO)
+    debugging = node.get_logger().is_enabled_for(LoggingSeverity.DEBUG)
+    library.setLevel(logging.DEBUG if debugging else logging.INFO)
