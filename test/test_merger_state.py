@@ -15,7 +15,7 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.io.map_format import MapFileError
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_session import MergerSession
-from topometric_ros.runtime.merger_state import load_state, save_state
+from topometric_ros.runtime.merger_state import EncodedMaps, load_state, save_state
 
 
 def remembering() -> MergerSession:
@@ -43,6 +43,8 @@ def test_a_restarted_merger_has_the_same_result_without_aligning_again(tmp_path:
         assert (one.agents, one.status, one.reason) == (two.agents, two.status, two.reason)
         np.testing.assert_array_equal(one.T_a_b, two.T_a_b)
         np.testing.assert_array_equal(one.covariance, two.covariance)
+        assert one.inliers == two.inliers
+    assert 0.5 < (result.alignments[0].inliers or 0.0) <= 1.0
     np.testing.assert_array_equal(before.result.global_map.map.voxels, result.global_map.map.voxels)
     assert set(after.fixed()) == {("a", "c")}
 
@@ -52,6 +54,21 @@ def test_the_same_memory_gives_the_same_bytes(tmp_path: Path) -> None:
     save_state(tmp_path / "one", merger.state())
     save_state(tmp_path / "two", load_state(tmp_path / "one"))
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+
+
+def test_only_maps_that_changed_are_encoded_anew(tmp_path: Path) -> None:
+    merger, encoded = remembering(), EncodedMaps()
+    save_state(tmp_path / "one", merger.state(), encoded)
+    before = encoded.of(merger.maps)
+    merger.add_map(dataclasses.replace(flat_map("b", 1), sequence=99))
+    after = encoded.of(merger.maps)
+    assert [agent for agent in after if after[agent] is not before[agent]] == ["b"]
+    save_state(tmp_path / "one", merger.state(), encoded)
+    save_state(tmp_path / "two", merger.state())
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+    assert load_state(tmp_path / "one").maps["b"].sequence == 99
+    merger.forget("b")
+    assert set(encoded.of(merger.maps)) == {"a", "c"}
 
 
 def test_ended_sessions_stay_ended_and_newer_ones_keep_waiting(tmp_path: Path) -> None:

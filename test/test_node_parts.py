@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from test.helpers_ros import missing, private_context
+from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Placed
 from topometric_ros.configuration import parameter
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.extraction.config import extraction_preset
@@ -36,6 +37,7 @@ from visualization_msgs.msg import Marker
 from topometric_ros.nodes import parameters, qos, tf
 from topometric_ros.nodes.diagnostics import Level, Status, to_message
 from topometric_ros.nodes.markers import map_markers
+from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.running import TopometricNode, spin
 from topometric_ros.nodes.worker import Inbox, Worker
 
@@ -307,3 +309,30 @@ def test_diagnostics_carry_level_and_numbers() -> None:
     (entry,) = to_message([status], "a", Time()).status
     assert (entry.level, entry.hardware_id) == (b"\x02", "a")
     assert {pair.key: pair.value for pair in entry.values} == {"clouds": "3", "age": "0.25"}
+
+
+def test_diagnostics_of_a_pair_tell_what_is_known_of_it_and_no_more() -> None:
+    def told(alignment: Alignment) -> tuple[str, dict[str, Any]]:
+        placed = Placed("global", (), (alignment,))
+        report = MergerReport({"a": InputReport("/a/topometric_map", newest=tilted_map())}, placed)
+        entry = report.statuses("/merger", now=0)[-1]
+        return entry.message, dict(entry.values)
+
+    rivals = (Alternative(np.eye(4), 40.0), Alternative(np.eye(4), 30.0))
+    pair, accepted = ("a", "b"), AlignmentStatus.ACCEPTED
+    numbers = {"confidence": 0.8, "overlap": 0.6, "rmse": 0.02, "score": 90.0, "inliers": 0.75}
+    message, values = told(
+        Alignment(pair, accepted, "12 m of wall agree", np.eye(4), rivals, **numbers)
+    )
+    assert message == "accepted: 12 m of wall agree"
+    assert (values["rooms"], values["candidates"]) == ("2 and 0", 3)
+    assert (values["score"], values["score of the next best"]) == (90.0, 40.0)
+    assert (values["confidence"], values["confidence needed"]) == (0.8, 0.5)
+    assert (values["inliers"], values["overlap"], values["rmse [m]"]) == (0.75, 0.6, 0.02)
+    _, values = told(
+        Alignment(pair, AlignmentStatus.AMBIGUOUS, "twins", alternatives=rivals, score=40.0)
+    )
+    assert (values["candidates"], values["score of the next best"]) == (2, 30.0)
+    assert not {"inliers", "overlap", "rmse [m]"} & set(values), "there is no pose"
+    _, values = told(Alignment(pair, accepted, "adopted", np.eye(4), overlap=0.5))
+    assert not {"inliers", "score of the next best"} & set(values)

@@ -63,7 +63,8 @@ class Alignment:
 
     `overlap` is the share of the smaller map's voxels that the other map holds too, `rmse` (m) the
     residual of the registration, `confidence` 0..1, `covariance` (6, 6) over (x, y, z, roll, pitch,
-    yaw) of `T_a_b` in m and rad, or None where there is no transform.
+    yaw) of `T_a_b` in m and rad, or None where there is no transform. `inliers` is the share of the
+    points that registration found on the other map, None where it was not done here.
     """
 
     agents: tuple[str, str]
@@ -77,6 +78,7 @@ class Alignment:
     matches: tuple[RoomMatch, ...] = ()
     covariance: NDArray[np.float64] | None = None
     score: float = 0.0
+    inliers: float | None = None
 
     @property
     def accepted(self) -> bool:

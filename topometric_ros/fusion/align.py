@@ -245,6 +245,7 @@ def _accepted(
         ),
         covariance=_covariance_of_input(a, b, result),
         score=evidence.value,
+        inliers=result.inliers,
     )
 
 

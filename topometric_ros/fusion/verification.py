@@ -26,6 +26,9 @@ _RULES = 33
 _CALIBRATED = 1.85
 """Exponent of a margin in the odds of a pose that leads by it."""
 
+LEAST_CONFIDENCE = 0.5
+"""A pose is accepted from this confidence on."""
+
 TWIN_TRUST = 0.45
 """Greatest confidence in a pose that an identical flat would have too."""
 
@@ -98,7 +101,7 @@ def decide(
         judged[k][1] for k in rivals[1:] if judged[k][1].value > config.clear_ratio * first.value
     ]
     trust = max(confidence(gap, ratio, config), _told_apart(first, near, gap, config))
-    if trust < 0.5:
+    if trust < LEAST_CONFIDENCE:
         rival = judged[rivals[1]][0] if len(rivals) > 1 else None
         reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)

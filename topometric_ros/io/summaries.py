@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +76,18 @@ def write_json(path: Path, content: Any) -> None:
     write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file in one step, so that nobody ever reads half of it."""
+def write_atomically(path: Path, data: bytes, durable: bool = False) -> None:
+    """Write a file in one step, so that nobody ever reads half of it.
+
+    With `durable` the bytes are on the disk before the older file goes: also where the power fails.
+    """
     partial = path.with_name(f".{path.name}.partial")
     try:
-        partial.write_bytes(data)
+        with partial.open("wb") as file:
+            file.write(data)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
         raise MapFileError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from topometric_ros.alignment import (
@@ -11,6 +12,7 @@ from topometric_ros.alignment import (
     AlignmentStatus,
     Placed,
 )
+from topometric_ros.fusion.verification import LEAST_CONFIDENCE
 from topometric_ros.nodes.diagnostics import Level, Status
 from topometric_ros.topometric_map import TopometricMap
 
@@ -69,9 +71,10 @@ class MergerReport:
             agent = entry.newest.agent if entry.newest else name
             placement, gone = placements.get(agent), self.gone.get(agent)
             result.append(_agent(node, entry, placement, now, gone))
+        rooms = {e.newest.agent: len(e.newest.rooms) for e in self.inputs.values() if e.newest}
         alignments = self.placed.alignments if self.placed else ()
         return result + [
-            _alignment(node, x, now - self.since.get(x.agents, now)) for x in alignments
+            _alignment(node, x, now - self.since.get(x.agents, now), rooms) for x in alignments
         ]
 
     def _merge(self, node: str) -> Status:
@@ -122,17 +125,25 @@ def _agent(
     return Status(name, Level.OK if known else Level.WARN, text, values)
 
 
-def _alignment(node: str, alignment: Alignment, age: int) -> Status:
-    values = {
-        "status": alignment.status.value,
+def _alignment(node: str, x: Alignment, age: int, rooms: Mapping[str, int]) -> Status:
+    """Return the status of a pair; what is not known of it, as of no pose at all, is left out.
+
+    `rooms` are the numbers of rooms of the agents' maps, `age` (ns) is of the verdict.
+    """
+    values: dict[str, object] = {
+        "status": x.status.value,
         "age [s]": age * _NANOSECONDS,
-        "confidence": float(alignment.confidence),
-        "overlap": float(alignment.overlap),
-        "rmse [m]": float(alignment.rmse),
-        "score": float(alignment.score),
-        "matches": len(alignment.matches),
-        "candidates": len(alignment.alternatives) + alignment.accepted,
+        "rooms": " and ".join(str(rooms.get(agent, 0)) for agent in x.agents),
+        "matches": len(x.matches),
+        "candidates": len(x.alternatives) + x.accepted,
+        "score": float(x.score),
     }
-    name = f"{node}: alignment {' - '.join(alignment.agents)}"
-    text = f"{alignment.status}: {alignment.reason}"
-    return Status(name, _ALIGNMENT_LEVELS[alignment.status], text, values)
+    rivals = sorted((rival.score for rival in x.alternatives), reverse=True)
+    if rivals[not x.accepted :]:
+        values["score of the next best"] = float(rivals[not x.accepted])
+    values |= {"confidence": float(x.confidence), "confidence needed": LEAST_CONFIDENCE}
+    if x.T_a_b is not None:
+        values |= {"overlap": float(x.overlap), "rmse [m]": float(x.rmse)}
+        values |= {} if x.inliers is None else {"inliers": float(x.inliers)}
+    name = f"{node}: alignment {' - '.join(x.agents)}"
+    return Status(name, _ALIGNMENT_LEVELS[x.status], f"{x.status}: {x.reason}", values)

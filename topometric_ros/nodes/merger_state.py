@@ -11,7 +11,7 @@ from typing import Any
 
 from topometric_ros.io.map_format import MapFileError
 from topometric_ros.runtime.merger_session import MergerSession
-from topometric_ros.runtime.merger_state import load_state, save_state
+from topometric_ros.runtime.merger_state import EncodedMaps, load_state, save_state
 
 
 class StateKeeper:
@@ -21,6 +21,7 @@ class StateKeeper:
         self._path = Path(path).expanduser() if path else None
         self._logger = logger
         self._told = ""
+        self._encoded = EncodedMaps()
 
     def restore(self, session: MergerSession) -> None:
         """Give a session what the file holds, if there is one."""
@@ -48,7 +49,7 @@ class StateKeeper:
         if self._path is None:
             return ""
         try:
-            save_state(self._path, session.state())
+            save_state(self._path, session.state(), self._encoded)
         except MapFileError as error:
             text = f"the state was not saved: {error}"
             if text != self._told:

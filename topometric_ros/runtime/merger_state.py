@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
 from topometric_ros.io.map_files import decode_map, encode_map
 from topometric_ros.io.map_format import MapFileError, Section, decode, encode
-from topometric_ros.io.summaries import matrix_rows, write_atomically
+from topometric_ros.io.packing import PackingError
+from topometric_ros.io.summaries import matrix_rows, optional, write_atomically
 from topometric_ros.runtime.transforms import TransformError, check_rigid
 from topometric_ros.topometric_map import TopometricMap
 
@@ -59,14 +60,37 @@ class MergerState:
     fixed: tuple[Alignment, ...] = ()
 
 
-def save_state(path: Path, state: MergerState) -> None:
-    """Write a state in one step: an older file stays until the new one is whole.
+class EncodedMaps:
+    """The bytes of the maps in a state file, kept so that only maps that are new are encoded."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, tuple[TopometricMap, bytes]] = {}
+
+    def of(self, maps: Mapping[str, TopometricMap]) -> dict[str, bytes]:
+        """Return the bytes of each map, by its name; those of maps that are gone are dropped."""
+        known = {name: held for name, held in self._held.items() if maps.get(name) is held[0]}
+        self._held = {name: known.get(name) or (m, encode_map(m)) for name, m in maps.items()}
+        return {name: data for name, (_, data) in self._held.items()}
+
+
+def save_state(path: Path, state: MergerState, encoded: EncodedMaps | None = None) -> None:
+    """Write a state in one step: an older file stays until the new one is whole, on the disk.
+
+    Parameters
+    ----------
+    path, state : where to, and what
+    encoded : what was encoded for the file before; the bytes that are written do not depend on it
 
     Raises
     ------
     MapFileError
         The file cannot be written.
     """
+    named = {
+        f"{kind}[{agent}]": held[agent]
+        for kind, held in (("maps", state.maps), ("newer", state.newer))
+        for agent in sorted(held)
+    }
     fields = {
         "schema": SCHEMA,
         "order": list(state.order),
@@ -84,12 +108,15 @@ def save_state(path: Path, state: MergerState) -> None:
         ],
         "fixed": [_fields(alignment) for alignment in state.fixed],
     }
-    sections = [
-        Section(f"{kind}[{agent}]", "array", np.frombuffer(encode_map(held[agent]), np.int8))
-        for kind, held in (("maps", state.maps), ("newer", state.newer))
-        for agent in sorted(held)
-    ]
-    write_atomically(path, encode(fields, sections))
+    try:
+        sections = [
+            Section(name, "array", np.frombuffer(data, np.int8))
+            for name, data in (encoded or EncodedMaps()).of(named).items()
+        ]
+        data = encode(fields, sections)
+    except (PackingError, ValueError) as error:
+        raise MapFileError(f"{path}: the state cannot be packed: {error}") from error
+    write_atomically(path, data, durable=True)
 
 
 def load_state(path: Path) -> MergerState:
@@ -152,6 +179,7 @@ def _fields(alignment: Alignment) -> dict[str, Any]:
         "matches": [[int(m.room_a), int(m.room_b), float(m.distance)] for m in alignment.matches],
         "covariance": matrix_rows(alignment.covariance),
         "score": float(alignment.score),
+        "inliers": optional(alignment.inliers),
     }
 
 
@@ -173,6 +201,7 @@ def _alignment(entry: Mapping[str, Any]) -> Alignment:
         matches=tuple(RoomMatch(int(i), int(j), float(d)) for i, j, d in entry["matches"]),
         covariance=_matrix(entry["covariance"], 6),
         score=float(entry["score"]),
+        inliers=optional(entry.get("inliers")),  # Older files have none.
     )
 
 
