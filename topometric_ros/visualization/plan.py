@@ -14,6 +14,9 @@ UNSEEN = -2
 """Marks the cells of a plan in which the map holds no voxel."""
 
 
+_WIDEST = 1_000_000
+
+
 @dataclass(frozen=True)
 class Plan:
     """A storey from above, in the map's level frame.
@@ -27,18 +30,6 @@ class Plan:
     origin: tuple[float, float]
     rooms: NDArray[np.int32]
     labels: dict[int, tuple[float, float]]
-
-    def extent(self) -> tuple[float, float, float, float]:
-        """Return the raster's outer edges: left, right, bottom, top, m."""
-        return raster_extent(self.rooms.shape, self.origin, self.cell)
-
-
-def raster_extent(
-    shape: tuple[int, ...], origin: tuple[float, float], cell: float
-) -> tuple[float, float, float, float]:
-    """Return the outer edges of a raster whose first cell is centred at `origin`, m."""
-    left, bottom = origin[0] - cell / 2, origin[1] - cell / 2
-    return left, left + shape[0] * cell, bottom, bottom + shape[1] * cell
 
 
 def storey_plan(topometric_map: TopometricMap, storey: Storey) -> Plan:
@@ -84,9 +75,16 @@ def main_direction(topometric_map: TopometricMap) -> float:
     for angle in angles:
         axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         bins = np.floor(walls @ axes / 0.1).astype(np.int64)
-        counts = [np.unique(bins[:, k], return_counts=True)[1] for k in (0, 1)]
-        scores.append(sum(int((c.astype(np.int64) ** 2).sum()) for c in counts))
+        scores.append(sum(int((_counts(bins[:, k]) ** 2).sum()) for k in (0, 1)))
     return float(angles[np.argmax(scores)])
+
+
+def _counts(bins: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how often each number occurs, in no order."""
+    low, high = (int(bins.min()), int(bins.max())) if len(bins) else (0, 0)
+    if high - low > _WIDEST:  # Two walls far apart must not cost what lies between them.
+        return np.unique(bins, return_counts=True)[1].astype(np.int64)
+    return np.bincount(bins - low)
 
 
 def _rows_of_storey(topometric_map: TopometricMap, storey: Storey) -> NDArray[np.bool_]:

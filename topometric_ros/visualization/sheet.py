@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.visualization.plan import UNSEEN, Plan, raster_extent
+from topometric_ros.visualization.painting import Raster, painted, raster_on_sheet
+from topometric_ros.visualization.plan import UNSEEN, Plan
 from topometric_ros.visualization.smoothing import (
     fine_origin,
     refinement,
@@ -99,15 +100,11 @@ class Sheet:
         self._axes: Any = self._figure.add_axes((0, 0, 1, 1))
         self._axes.set_axis_off()
         self._seen: list[tuple[float, float, float, float]] = []
+        self._rasters: list[Raster] = []
 
     def include(self, bounds: tuple[float, float, float, float]) -> None:
         """Make sure that the picture covers left, bottom, right, top, m on the sheet."""
         self._seen.append(bounds)
-
-    def _transform(self, pose: Pose) -> Any:
-        from matplotlib.transforms import Affine2D
-
-        return Affine2D().rotate(pose.angle).translate(pose.x, pose.y) + self._axes.transData
 
     def raster(
         self,
@@ -117,15 +114,12 @@ class Sheet:
         pose: Pose,
         order: float = 1.0,
     ) -> None:
-        """Draw an image (nx, ny, 4) uint8 whose first cell is centred at `origin`, m."""
-        self._axes.imshow(
-            np.swapaxes(image, 0, 1),
-            extent=raster_extent(image.shape, origin, cell),
-            origin="lower",
-            interpolation="nearest",
-            transform=self._transform(pose),
-            zorder=order,
-        )
+        """Draw an image (nx, ny, 4) uint8 whose first cell is centred at `origin`, m.
+
+        All rasters lie below all lines, dots and numbers.
+        """
+        place = (pose.angle, pose.x, pose.y)
+        self._rasters.append(raster_on_sheet(image, origin, cell, place, order))
 
     def mask(
         self,
@@ -270,12 +264,30 @@ class Sheet:
                 handlelength=1.4,
                 columnspacing=1.3,
             )
+        self._figure.add_artist(_background(self._painted((left, bottom), 1 / (inch * _DPI))))
         stream = io.BytesIO()
         # No software name or date: equal pictures have equal bytes.
         self._figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
         return stream.getvalue()
 
+    def _painted(self, corner: tuple[float, float], pixel: float) -> NDArray[np.uint8]:
+        box = self._figure.bbox
+        return painted(self._rasters, corner, pixel, (int(box.height), int(box.width)))
+
     def _scale_bar(self, x: float, y: float, width: float, inch: float) -> None:
         length = next((step for step in (1, 2, 5, 10, 20, 50) if step > width / 9), 100)
         self.line([(x, y), (x + length, y)], INK, 2.2)
         self.caption(x + length + 0.08 / inch, y - 0.06 / inch, f"{length} m")
+
+
+def _background(image: NDArray[np.uint8]) -> Any:
+    """Return an artist that puts an image (rows, columns, 4), lowest row first, below the rest."""
+    from matplotlib.artist import Artist
+
+    class Background(Artist):
+        def draw(self, renderer: Any) -> None:
+            renderer.draw_image(renderer.new_gc(), 0, 0, image)
+
+    artist = Background()
+    artist.set_zorder(-1)
+    return artist

@@ -11,7 +11,7 @@ _FINE_CELLS = 2_500_000
 _LABEL_BLUR = 1.2
 """Cells by which a label is blurred before the densest wins."""
 _BLUR_REACH = 6
-"""Cells: four deviations of that blur, and one for the interpolation."""
+"""Cells: four deviations of the wider blur, and one for the interpolation."""
 
 
 def refinement(shape: tuple[int, ...]) -> int:
@@ -27,8 +27,13 @@ def fine_origin(origin: tuple[float, float], cell: float, factor: int) -> tuple[
 
 def smooth_mask(mask: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
     """Refine a mask by `factor` and round off its stairs; lines one cell wide survive."""
-    closed = ndimage.binary_closing(np.pad(mask, 2), np.ones((3, 3)))[2:-2, 2:-2]
-    return _refined(closed.astype(np.float32), factor, 0.75) > 0.33
+    result = np.zeros((mask.shape[0] * factor, mask.shape[1] * factor), bool)
+    if mask.any():
+        near = _bounds(mask, margin=_BLUR_REACH)
+        closed = ndimage.binary_closing(np.pad(mask[near], 2), np.ones((3, 3)))[2:-2, 2:-2]
+        fine = tuple(slice(edge.start * factor, edge.stop * factor) for edge in near)
+        result[fine] = _refined(closed.astype(np.float32), factor, 0.75) > 0.33
+    return result
 
 
 def smooth_labels(labels: NDArray[np.int32], factor: int) -> NDArray[np.int32]:
