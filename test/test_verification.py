@@ -11,7 +11,7 @@ import pytest
 from test.helpers import yaw_transform
 from test.helpers_search import FLAT, OTHER, TWIN, building, map_of
 from topometric_ros.alignment import AlignmentStatus
-from topometric_ros.fusion.gates import VerificationConfig, missed_gate, objection
+from topometric_ros.fusion.gates import VerificationConfig, may_be_a_twin, missed_gate, objection
 from topometric_ros.fusion.verification import confidence, decide, doubt_repeated
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate
@@ -195,13 +195,23 @@ def test_a_flat_that_one_map_holds_whole_may_be_its_twin_where_furniture_differs
     assert decision.confidence < 0.5
     same = good(free_share=0.95, furniture_judged=400)
     assert decide([at(0.0, same)], CONFIG).status is AlignmentStatus.ACCEPTED
-    beyond = good(**{**twin, "free_share": 0.6}, furniture_conflict=0.035)
-    assert decide([at(0.0, beyond)], CONFIG).status is AlignmentStatus.ACCEPTED
-    otherwise = {"furniture_judged": 177, "furniture_conflict_cells": 35}
-    flat = good(free_share=0.5, furniture_conflict=0.2, **otherwise)
-    assert decide([at(0.0, flat)], CONFIG).status is AlignmentStatus.AMBIGUOUS
     floor = good(**twin, furniture_conflict=0.035, free_floor=150.0)
     assert decide([at(0.0, floor)], CONFIG).status is AlignmentStatus.ACCEPTED
+
+
+@pytest.mark.parametrize(
+    ("share", "floor", "cells", "judged"),
+    [(0.5, 40.0, 35, 177), (0.9, 127.0, 18, 185), (0.69, 36.5, 9, 198)],
+    ids=["a flat furnished otherwise", "an identical storey", "most of a flat furnished alike"],
+)
+def test_where_furniture_differs_the_rest_must_stand_to_the_centimetre(share, floor, cells, judged):
+    e = good(
+        free_share=share, free_floor=floor, furniture_judged=judged,
+        furniture_conflict_cells=cells, furniture_conflict=cells / judged,
+    )  # fmt: skip
+    assert may_be_a_twin(e, CONFIG, lambda: False)
+    assert not may_be_a_twin(e, CONFIG, lambda: True)
+    assert not may_be_a_twin(replace(e, free_share=0.3), CONFIG, lambda: False)
 
 
 def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
@@ -209,9 +219,8 @@ def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
         free_share=0.6, free_floor=150.0, furniture_judged=400,
         furniture_conflict_cells=50, furniture_conflict=0.125,
     )  # fmt: skip
-    assert decide([at(0.0, moved)], CONFIG).status is AlignmentStatus.AMBIGUOUS
-    days = replace(CONFIG, changed_furniture=True)
-    assert decide([at(0.0, moved)], days).status is AlignmentStatus.ACCEPTED
+    assert may_be_a_twin(moved, CONFIG, lambda: False)
+    assert not may_be_a_twin(moved, replace(CONFIG, changed_furniture=True), lambda: False)
 
 
 def test_half_of_a_small_map_is_little_where_some_furniture_stands_elsewhere():

@@ -18,6 +18,7 @@ from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, 
 from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import SOURCES, MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose
+from topometric_ros.fusion.furniture import stands_as_before
 from topometric_ros.fusion.gates import may_be_a_twin, missed_gate, objection, why_a_twin
 from topometric_ros.fusion.judge import judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
@@ -123,7 +124,7 @@ def _registered(
     """Register an accepted candidate and judge it again where it ends.
 
     With `ask_twins` also whether an identical flat would look the same: before, furniture in
-    conflict may have been too few cells to count.
+    conflict may have been too few cells to count, and to the centimetre it is compared only here.
     """
     candidate = best[0]
     alternatives = _alternatives(a, b, decision)
@@ -147,8 +148,11 @@ def _registered(
     if refusal is not None:
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {refusal}")
         return replace(refused, alternatives=alternatives, score=evidence.value)
-    # Whether furniture stands as before was asked when it was decided.
-    if ask_twins and may_be_a_twin(evidence, config.verification, lambda: True):
+
+    def same_furniture() -> bool:
+        return stands_as_before((a.map, a.surface), (b.map, b.surface), T)
+
+    if ask_twins and may_be_a_twin(evidence, config.verification, same_furniture):
         told = why_a_twin(evidence, config.verification)
         pose = Alternative(_to_input(a, b, T), evidence.value)
         return replace(

@@ -29,9 +29,9 @@ _ROOM, _ROOM_PART = 15.0, 0.3
 that says where it lies: twin flats have rooms that are alike to the furniture. Less of the map in
 common is as little where the furniture conflicts, if only by a few cells."""
 
-_HALF, _OTHERWISE = 0.5, 0.06
-"""Of `twin_share`, and furniture in conflict beyond doubt, from which as much may be another flat,
-furnished otherwise: rooms of one kind are furnished much alike."""
+_HALF, _OTHERWISE = 0.5, 0.02
+"""Of `twin_share`, and furniture in conflict beyond doubt, from which as much may be another flat
+or floor, furnished otherwise: rooms of one kind are furnished much alike."""
 
 _WALL_CLUMP, _FURNITURE_CLUMP = 2.0, 3.0
 """Neighbouring cells that err together and count as one."""
@@ -235,23 +235,21 @@ def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationCo
 
 
 def may_be_a_twin(
-    e: Evidence, config: VerificationConfig, same_furniture: Callable[[], bool] = lambda: False
+    e: Evidence, config: VerificationConfig, same_furniture: Callable[[], bool] = lambda: True
 ) -> bool:
     """Whether two identical flats, furnished alike, would look the same.
 
     Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees, or
-    little more than a room was seen of it. Where much furniture conflicts, `same_furniture` tells
-    whether the rest is the same to the centimetre.
+    little more than a room was seen of it. Where less is shared or more conflicts,
+    `same_furniture` tells whether most of it is the same to the centimetre.
     """
-    moved = config.changed_furniture and e.free_floor >= config.twin_floor
-    differently = _furniture_elsewhere(e) >= _OTHERWISE and not moved
-    otherwise = differently and e.free_share >= _HALF * config.twin_share
-    whole = e.free_share >= config.twin_share and e.free_floor < config.twin_floor
-    return (
-        (whole and _differs(e, config))
-        or _is_part(e, config)
-        or (otherwise and not same_furniture())
-    )
+    small, differs = e.free_floor < config.twin_floor, _differs(e, config)
+    if _is_part(e, config) or (small and differs and e.free_share >= config.twin_share):
+        return True
+    moved = config.changed_furniture and not small
+    otherwise = _furniture_elsewhere(e) >= _OTHERWISE and e.free_share >= _HALF * config.twin_share
+    most = small and differs and e.free_share >= _PART * config.twin_share
+    return ((otherwise and not moved) or most) and not same_furniture()
 
 
 def _differs(e: Evidence, config: VerificationConfig) -> bool:

@@ -1,8 +1,8 @@
 """Judging the candidate poses of two maps by all that the maps hold.
 
 `verification.decide` weighs numbers. What has to be looked up in the maps once more is asked here,
-and only where it matters: a fine pose where a rough one is refused, furniture to the centimetre,
-ceilings, and the same rooms elsewhere.
+and only where it matters: a fine pose where a rough one is refused, ceilings, and the same rooms
+elsewhere.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from topometric_ros.alignment import AlignmentStatus
 from topometric_ros.fusion.ceilings import open_above
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose
-from topometric_ros.fusion.furniture import stands_as_before
 from topometric_ros.fusion.poses import apart
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.fusion.registration import RegistrationError
@@ -37,11 +36,11 @@ def judge(
     """
     scoring = config.search.scoring
     judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, scoring)) for c in candidates]
-    decision = _decide(a, b, judged, config)
+    decision = decide(judged, config.verification)
     finer = _registered_best(a, b, judged, decision, config)
     if finer is None:
         return judged, decision
-    return finer, _decide(a, b, finer, config)
+    return finer, decide(finer, config.verification)
 
 
 def unless_elsewhere(
@@ -65,19 +64,6 @@ def unless_elsewhere(
         return decision
     share = likeness(a.fields, b.fields, candidate.T_a_b, config.search.scoring)
     return doubt_repeated(decision, evidence, share, limits)
-
-
-def _decide(a: Prepared, b: Prepared, judged: list[Judged], config: MergeConfig) -> Decision:
-    """Decide, and look at the furniture where that is asked."""
-
-    def same_furniture(candidate: Candidate) -> bool:
-        try:
-            T = fine_pose(a, b, candidate, config).T_target_source
-        except RegistrationError:
-            return False
-        return stands_as_before((a.map, a.surface), (b.map, b.surface), T)
-
-    return decide(judged, config.verification, same_furniture)
 
 
 def _registered_best(

@@ -7,7 +7,7 @@ operator with the number that decided and the threshold that it missed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,11 +51,7 @@ class Decision:
     alternatives: tuple[Alternative, ...] = ()
 
 
-def decide(
-    judged: Sequence[Judged],
-    config: VerificationConfig,
-    same_furniture: Callable[[Candidate], bool] = lambda candidate: False,
-) -> Decision:
+def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
     """Accept the best of some candidates, or say why not.
 
     Parameters
@@ -105,7 +101,7 @@ def decide(
         rival = judged[rivals[1]][0] if len(rivals) > 1 else None
         reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
-    if may_be_a_twin(first, config, lambda: same_furniture(judged[best][0])):
+    if may_be_a_twin(first, config):
         return decision(
             AlignmentStatus.AMBIGUOUS, why_a_twin(first, config), min(trust, TWIN_TRUST)
         )
