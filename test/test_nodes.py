@@ -131,6 +131,11 @@ def test_a_latched_map_that_was_published_before_the_extractor_started_is_receiv
     assert (maps.last.agent, maps.last.header.frame_id) == ("early", "early/map")
     assert len(maps.last.rooms) == 2
     assert "transient local" in process.log
+    # No other cloud comes, and other parameters make another map of the one that was latched.
+    assert set_parameters(own, "/early/extractor", {"narrowings.smallest_area": 1e3}) == [""]
+    wait_for(lambda: len(maps) >= 2, WORK_S, "map with the new parameters", (process,))
+    assert maps.last.sequence == 2
+    assert len(maps.last.rooms) < 2
     assert process.stop(signal.SIGINT) == 0
 
 
@@ -252,6 +257,11 @@ def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
     floor = (seen == 0).sum() * grid.info.resolution**2
     assert floor == pytest.approx(4.0 * 5.0, rel=0.2), "the free floor of a room of 4 m x 5 m"
     assert (seen[:, [0, -1]] != 0).all(), "closed off by walls"
+    before = len(grids)
+    assert set_parameters(own, "/merger", {"grid_storey": 0}) == [""]
+    wait_for(lambda: len(grids) > before, 20.0, "global_grid of the storey asked for", (process,))
+    assert set_parameters(own, "/merger", {"grid_storey": 7}) == [""]
+    wait_for(lambda: "no storey 7; known: 0" in process.log, 20.0, "what there is", (process,))
 
     path = tmp_path / "b.tmap"
     save_map(path, small_map("b", (7.0, 3.0, 2.9)))

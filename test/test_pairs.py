@@ -12,6 +12,7 @@ from test.helpers import yaw_transform
 from test.helpers_io import random_map
 from test.helpers_sessions import flat_map
 from topometric_ros.alignment import WAITING, Alignment, AlignmentStatus
+from topometric_ros.configuration import with_values
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.io.bag_messages import message_classes
@@ -118,3 +119,48 @@ def test_agents_without_a_place_come_first_and_then_who_waited_longest() -> None
     maps["a"] = next_version(maps["a"])
     every = [(maps[x], maps[y]) for x, y in ("ab", "ac", "ad", "bc", "bd", "cd")]
     assert due("a", "d") == ["ac", "bd", "cd", "ab", "bc", "ad"]
+
+
+def test_new_parameters_are_asked_of_maps_that_have_not_changed() -> None:
+    merger = MergerSession(MergeConfig(), ["a", "b"])
+    merger.add_map(flat_map("a"))
+    merger.add_map(flat_map("b", 1))
+    (found,) = merger.merge().alignments
+    assert found.accepted
+
+    # What comes after aligning asks no pair again, nor does what is known of other agents.
+    elsewhere = "{between: [a, c], position: [0, 0, 0], yaw: 0}"
+    merger.config = with_values(MergeConfig(), {"fuse.room_overlap": 0.4, "priors": [elsewhere]})
+    merger.align(limit=0)
+    assert merger.waiting == 0
+
+    # What the new gates refuse is not used from now on, and no older verdict outlives them.
+    merger.config = with_values(MergeConfig(), {"verification.free_floor": 1e4})
+    (x,) = merger.align(limit=0).alignments
+    assert merger.waiting == 1
+    assert x.reason.startswith("it no longer holds: ")
+    (x,) = merger.align().alignments
+    assert (x.accepted, merger.waiting) == (False, 0)
+    kept = merger.state()
+
+    merger.config = MergeConfig()
+    (x,) = merger.merge().alignments
+    assert x.accepted
+    np.testing.assert_allclose(x.T_a_b, found.T_a_b, atol=1e-9)
+
+    # A restart with other parameters asks again too.
+    again = MergerSession(MergeConfig(), ["a", "b"])
+    again.restore(kept)
+    again.align(limit=0)
+    assert again.waiting == 1
+
+
+def test_a_prior_that_is_set_later_takes_back_what_it_does_not_allow() -> None:
+    merger = merger_that_knows(RIGHT)
+    wrong = "{between: [a, b], position: [50, 0, 0], yaw: 0, sigma: 0.5, yaw_sigma: 5}"
+    merger.config = with_values(MergeConfig(), {"priors": [wrong]})
+    (x,) = merger.align(limit=0).alignments
+    assert not x.accepted
+    assert "from the prior of a and b" in x.reason
+    (x,) = merger.align().alignments
+    assert x.status is AlignmentStatus.REJECTED

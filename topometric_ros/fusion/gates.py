@@ -221,7 +221,11 @@ def _furniture_elsewhere(e: Evidence) -> float:
 
 def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationConfig) -> bool:
     """Whether so much else speaks for a pose that some conflict may pass."""
-    if e.storeys == 0 or e.free_floor < 20.0 or e.agreed_wall < 10.0 or e.smallest_eigenvalue < 5.0:
+    floor, wall = max(20.0, config.free_floor), max(10.0, config.agreed_wall)
+    across = max(5.0, config.smallest_eigenvalue)
+    if e.storeys == 0 or e.free_floor < floor or e.agreed_wall < wall:
+        return False
+    if e.smallest_eigenvalue < across:
         return False
     rules = (_MOVED, _VOUCHED, _CHANGED) if config.changed_furniture else (_MOVED, _VOUCHED)
     return any(

@@ -135,7 +135,9 @@ class Extractor(TopometricNode):
         return session.session, session.counts.map_clouds, session.counts.scans
 
     def _is_fresh(self) -> bool:
-        return self.input.session.has_input and self._state() != self._extracted
+        return self.input.session.has_input and (
+            self._state() != self._extracted or self.input.session.extraction != self._wanted
+        )
 
     def _work(self) -> None:
         """Take in what has arrived and, when it is time, extract and publish."""
@@ -148,7 +150,7 @@ class Extractor(TopometricNode):
     def _is_changed(self) -> bool:
         """Whether enough came or went for another map; if not, wait for more input."""
         session = self.input.session
-        if session.extraction is not self._wanted or session.change() >= self._own.min_change:
+        if session.extraction != self._wanted or session.change() >= self._own.min_change:
             return True
         self._extracted, self._last_extraction = self._state(), time.monotonic()
         self.report.unchanged += 1

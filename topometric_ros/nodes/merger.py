@@ -78,6 +78,7 @@ class Merger(TopometricNode):
         self._said: dict[tuple[str, str], tuple[str, str]] = {}
         self._told: Hashable = None
         self._fused = Shown()
+        self._storey = self._own.grid_storey
         self._telling, self._fusing = Pace(_TELLING_SHARE), Pace(_FUSING_SHARE)
         self._stale: tuple[str, ...] = ()
         self._others: Inbox[AlignmentArray] = Inbox(1)
@@ -120,8 +121,14 @@ class Merger(TopometricNode):
         self._own, self._wanted = configs
 
     def _tick(self) -> None:
-        if self.fresh or self._more or any(map(len, self.roster.inboxes.values())):
+        arrived = any(map(len, self.roster.inboxes.values()))
+        if self.fresh or self._more or arrived or self._is_told_otherwise():
             self._worker.wake()
+
+    def _is_told_otherwise(self) -> bool:
+        """Whether parameters have changed on which something rests that is held or published."""
+        storey = self.session.result is not None and self._storey != self._own.grid_storey
+        return storey or (bool(self.session.maps) and self.session.config != self._wanted)
 
     def _hear(self, message: AlignmentArray) -> None:
         if not self._out.is_own(message):
@@ -135,6 +142,7 @@ class Merger(TopometricNode):
             self.take_in()
             self._mark_gone()
             expected = self._offers_expected()
+            self.fresh |= self._is_told_otherwise()
             if self.fresh or self.session.waiting:
                 # Whether what is known holds for new maps is told before anything is searched.
                 check_only = self.fresh or expected
@@ -226,6 +234,8 @@ class Merger(TopometricNode):
             with self._fusing.step(self._own.max_rate):
                 self._fuse()
             fused = True
+        elif self.session.result is not None and self._storey != self._own.grid_storey:
+            self._show_storey()
         return not (told and fused)
 
     def _shown(self) -> Shown:
@@ -240,7 +250,13 @@ class Merger(TopometricNode):
 
     def _fuse(self) -> None:
         self._fused = self._shown()
-        self._out.publish_map(self.session.fuse(), self._own.grid_storey)
+        self._storey = self._own.grid_storey
+        self._out.publish_map(self.session.fuse(), self._storey)
+
+    def _show_storey(self) -> None:
+        self._storey = self._own.grid_storey
+        if self.session.result is not None:
+            self._out.publish_grid(self.session.result, self._storey)
 
     def merge(self) -> None:
         """Align all that waits, fuse and publish; raises what the session raises."""

@@ -36,7 +36,7 @@ class Shown:
     """What of a session's state a reader would see, to tell what has changed since."""
 
     maps: Hashable = None
-    """Which versions of the agents' maps, and whose place is known."""
+    """Which versions of the agents' maps, whose place is known, and how they are fused."""
     places: Hashable = None
     alignments: Hashable = None
 
@@ -46,11 +46,12 @@ class Shown:
         if session.placed is None:
             return cls()
         agents, found = session.placed.agents, session.placed.alignments
-        maps = tuple(
+        versions = tuple(
             (agent.id, version_of(session.maps[agent.id]), agent.T_global_agent is not None)
             for agent in agents
             if agent.id in session.maps
         )
+        maps = (versions, session.config.fuse)
         places = tuple(agent.T_group_agent.tobytes() for agent in agents)
         verdicts = tuple((x.agents, x.status, x.reason, _bytes(x.T_a_b)) for x in found)
         return cls(maps, places, (maps, places, verdicts, tuple(stale)))
@@ -84,7 +85,7 @@ class MergerOutput:
         self._maps.publish(map_to_message(fused.map, self._classes, fused.agents, observers))
         self._cloud.publish(map_cloud(fused.map, self._classes, fused.map.stamp, fused.agents))
         self._markers.publish(map_markers(fused.map, stamp))
-        self._publish_grid(fused.map, grid_storey, result.global_frame)
+        self.publish_grid(result, grid_storey)
 
     def publish_alignments(
         self, placed: Placed, maps: Mapping[str, TopometricMap], stale: Sequence[str]
@@ -103,9 +104,10 @@ class MergerOutput:
         """Whether another merger publishes alignments on the same topic."""
         return bool(self._node.count_publishers(self._alignments.topic_name) > 1)
 
-    def _publish_grid(self, m: TopometricMap, storey: int, frame: str) -> None:
+    def publish_grid(self, result: MergeResult, storey: int) -> None:
+        """Publish the grid of one storey, by its id or -1; say where there is none."""
         try:
-            grid = storey_grid(m, storey, frame)
+            grid = storey_grid(result.global_map.map, storey, result.global_frame)
         except GridError as error:
             if str(error) != self._grid_failure:
                 self._node.get_logger().error(str(error))

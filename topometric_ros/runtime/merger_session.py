@@ -20,7 +20,7 @@ from topometric_ros.alignment import BY_HAND, Alignment, AlignmentStatus, MergeR
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import MOST_AGENTS, fused, place
 from topometric_ros.runtime.extractor_session import SessionError
-from topometric_ros.runtime.merger_state import Known, MergerState, Version, version_of
+from topometric_ros.runtime.merger_state import Known, MergerState
 from topometric_ros.runtime.moved_maps import MOVED, move_told, still_there
 from topometric_ros.runtime.pairs import Pair, Pairs
 from topometric_ros.runtime.transforms import check_rigid
@@ -64,7 +64,6 @@ class MergerSession:
         self._ended: dict[str, set[str]] = {}
         self._pairs = Pairs()
         self._fixed: dict[Pair, Alignment] = {}
-        self._refused: dict[Pair, tuple[Version, Version]] = {}
         self._moved: dict[str, str] = {}
         self._watch = Stopwatch()
 
@@ -263,7 +262,6 @@ class MergerSession:
         for held in (self.maps, self._newer_session, self.sources, self._ended):
             held.pop(agent, None)
         self._fixed = {p: x for p, x in self._fixed.items() if agent not in p}
-        self._refused = {p: v for p, v in self._refused.items() if agent not in p}
         self._pairs.forget(agent)
         if not self.maps:
             self.placed, self.waiting = None, 0
@@ -302,7 +300,6 @@ class MergerSession:
                 found = self._pairs.try_one(a, b, self.config, self._watch, progress)
                 if found:
                     break
-                self._refused[a.agent, b.agent] = (version_of(a), version_of(b))
             if found or not self._must_align(agent):
                 self.maps[agent] = self._newer_session.pop(agent)
                 self._pairs.keep_only(agent, self.maps)
@@ -324,7 +321,7 @@ class MergerSession:
         return [
             other
             for other, (a, b) in pairs.items()
-            if self._refused.get((a.agent, b.agent)) != (version_of(a), version_of(b))
+            if not self._pairs.was_refused(a, b, self.config)
         ]
 
     def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:

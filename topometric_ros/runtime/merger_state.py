@@ -41,6 +41,9 @@ class Known:
     versions: tuple[Version, Version]
     support: float
     """Voxels that both maps held when the alignment was made."""
+    parameters: str = ""
+    """Mark of the parameters that it was made with, see :mod:`pair_parameters`; empty: the present
+    ones, as far as is known."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,7 @@ def save_state(path: Path, state: MergerState, encoded: EncodedMaps | None = Non
                 "alignment": _fields(entry.alignment),
                 "versions": [list(version) for version in entry.versions],
                 "support": float(entry.support),
+                "parameters": entry.parameters,
             }
             for entry in state.known
         ],
@@ -163,7 +167,8 @@ def _maps(
 def _known(entry: Mapping[str, Any]) -> Known:
     (session_a, sequence_a), (session_b, sequence_b) = entry["versions"]
     versions = ((str(session_a), int(sequence_a)), (str(session_b), int(sequence_b)))
-    return Known(_alignment(entry["alignment"]), versions, float(entry["support"]))
+    parameters = str(entry.get("parameters", ""))
+    return Known(_alignment(entry["alignment"]), versions, float(entry["support"]), parameters)
 
 
 def _fields(alignment: Alignment) -> dict[str, Any]:

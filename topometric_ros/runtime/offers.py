@@ -9,6 +9,7 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import reversed_alignment
 from topometric_ros.runtime.merger_state import Known, version_of
 from topometric_ros.runtime.pair_aligner import PairAligner
+from topometric_ros.runtime.pair_parameters import mark
 from topometric_ros.runtime.stability import standing, support
 from topometric_ros.runtime.transforms import TransformError, check_rigid
 from topometric_ros.topometric_map import TopometricMap
@@ -54,4 +55,5 @@ class Offers:
                 "%s and %s: the offered alignment is not taken: %s", a.agent, b.agent, objection
             )
             return None
-        return Known(offer.alignment, offer.versions, support(offer.alignment, one, two))
+        rests_on = mark(config, a.agent, b.agent)
+        return Known(offer.alignment, offer.versions, support(offer.alignment, one, two), rests_on)

@@ -1,7 +1,8 @@
 """The alignments of all pairs of a fleet, and which of them are to be made, the most urgent first.
 
 A new map does not undo what was found with the one before: an accepted alignment is checked against
-it, which costs a few milliseconds, and holds until the pair has its turn to be aligned anew.
+it, which costs a few milliseconds, and holds until the pair has its turn to be aligned anew. So do
+new parameters, but what is then found counts whether or not it is better.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.runtime.merger_state import Known, Version, version_of
 from topometric_ros.runtime.offers import Offers
 from topometric_ros.runtime.pair_aligner import PairAligner
+from topometric_ros.runtime.pair_parameters import mark
 from topometric_ros.runtime.stability import standing, steadier
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
@@ -23,6 +25,8 @@ logger = logging.getLogger(__name__)
 
 Pair = tuple[str, str]
 Maps = tuple[TopometricMap, TopometricMap]
+Basis = tuple[tuple[Version, Version], str]
+"""What a verdict rests on: versions of both maps and the mark of the parameters."""
 
 _NO_LONGER, _JOINS, _APART, _TOGETHER, _HOLDS = range(5)
 """How urgent a pair is: what was accepted contradicts the maps; one agent is placed and the other
@@ -37,7 +41,8 @@ class Pairs:
         """What aligning gave, and of which versions of the maps."""
         self.offers = Offers()
         self.aligner = PairAligner()
-        self._checked: dict[Pair, tuple[tuple[Version, Version], Alignment, bool]] = {}
+        self._checked: dict[Pair, tuple[Basis, Alignment, bool]] = {}
+        self._refused: dict[Pair, Basis] = {}
         self._turns: dict[Pair, int] = {}
 
     def forget(self, agent: str) -> None:
@@ -47,7 +52,7 @@ class Pairs:
 
     def void(self, agent: str) -> None:
         """Forget an agent's pairs: what held of its map no longer does."""
-        for held in (self.known, self._checked, self._turns):
+        for held in (self.known, self._checked, self._refused, self._turns):
             for pair in [pair for pair in held if agent in pair]:
                 del held[pair]
 
@@ -62,7 +67,7 @@ class Pairs:
     def due(
         self, pairs: Sequence[Maps], config: MergeConfig, placed: Collection[str]
     ) -> list[Maps]:
-        """Return the pairs that were not aligned yet with their present maps, most urgent first.
+        """Return the pairs to align with their present maps or parameters, most urgent first.
 
         Equally urgent ones come in the order in which they had their last turns.
 
@@ -77,7 +82,7 @@ class Pairs:
             pair = (a.agent, b.agent)
             alignment, holds = self._held(a, b, config)
             entry = self.known.get(pair)
-            if entry is not None and entry.versions == _versions(a, b):
+            if entry is not None and _basis_of(entry) == _basis(a, b, config):
                 continue
             there = sum(agent in placed for agent in pair)
             urgency = (_APART, _JOINS, _TOGETHER)[there]
@@ -97,19 +102,24 @@ class Pairs:
         watch: Stopwatch,
         progress: Callable[[str], None] | None = None,
     ) -> None:
-        """Align pairs with their present maps; one in use changes only for a better one."""
+        """Align pairs with their present maps; one in use changes only for a better one.
+
+        Where the parameters have changed since, it is theirs that counts: no old one is kept.
+        """
         turn = 1 + max(self._turns.values(), default=0)
         found = self.aligner.align(pairs, config, threads, watch, progress)
         for (a, b), new in zip(pairs, found, strict=True):
             pair = (a.agent, b.agent)
             entry = self.known.get(pair)
             alignment, held = new.alignment, new.support
-            if entry is not None and pair in in_use and _same_sessions(a, b, entry):
+            basis = _basis(a, b, config)
+            same = entry is not None and entry.parameters == basis[1]
+            if entry is not None and same and pair in in_use and _same_sessions(a, b, entry):
                 with watch.stage("stability"):
                     alignment, held = steadier(
                         entry.alignment, entry.support, alignment, new.a, new.b, config
                     )
-            self.known[pair] = Known(alignment, _versions(a, b), held)
+            self.known[pair] = Known(alignment, basis[0], held, basis[1])
             self._turns[pair] = turn
 
     def try_one(
@@ -122,10 +132,16 @@ class Pairs:
     ) -> bool:
         """Align a pair and keep what was found where it is accepted; return whether it is."""
         (found,) = self.aligner.align([(a, b)], config, 1, watch, progress)
+        pair, basis = (a.agent, b.agent), _basis(a, b, config)
         if found.alignment.accepted:
-            pair = (a.agent, b.agent)
-            self.known[pair] = Known(found.alignment, _versions(a, b), found.support)
+            self.known[pair] = Known(found.alignment, basis[0], found.support, basis[1])
+        else:
+            self._refused[pair] = basis
         return found.alignment.accepted
+
+    def was_refused(self, a: TopometricMap, b: TopometricMap, config: MergeConfig) -> bool:
+        """Whether :meth:`try_one` has found no alignment of just these maps."""
+        return self._refused.get((a.agent, b.agent)) == _basis(a, b, config)
 
     def keep_only(self, agent: str, maps: dict[str, TopometricMap]) -> None:
         """Forget what is known of an agent's pairs unless it is of just these maps."""
@@ -138,7 +154,7 @@ class Pairs:
         self, a: TopometricMap, b: TopometricMap, config: MergeConfig
     ) -> tuple[Alignment, bool]:
         """Return what is held of a pair, and False where the present maps speak against it."""
-        pair, versions = (a.agent, b.agent), _versions(a, b)
+        pair, basis = (a.agent, b.agent), _basis(a, b, config)
         if pair not in self.known:
             offer = self.offers.standing(a, b, self.aligner, config)
             if offer is not None:
@@ -146,26 +162,36 @@ class Pairs:
         entry = self.known.get(pair)
         if entry is None:
             return Alignment(pair, AlignmentStatus.NONE, WAITING), True
-        if entry.versions == versions:
+        if not entry.parameters:
+            entry = self.known[pair] = dataclasses.replace(entry, parameters=basis[1])
+        if _basis_of(entry) == basis:
             return entry.alignment, True
         if not entry.alignment.accepted:
             reason = f"{entry.alignment.reason}; {WAITING}"
             return dataclasses.replace(entry.alignment, reason=reason), True
         if not _same_sessions(a, b, entry):
             return Alignment(pair, AlignmentStatus.NONE, WAITING), True
-        if pair not in self._checked or self._checked[pair][0] != versions:
+        if pair not in self._checked or self._checked[pair][0] != basis:
             one, two = self.aligner.prepared(a, config), self.aligner.prepared(b, config)
             checked, objection = standing(entry.alignment, one, two, config)
             if objection is not None:
                 reason = f"it no longer holds: {objection}; {WAITING}"
                 logger.warning("%s and %s: %s", *pair, reason)
                 checked = Alignment(pair, AlignmentStatus.NONE, reason)
-            self._checked[pair] = (versions, checked, objection is None)
+            self._checked[pair] = (basis, checked, objection is None)
         return self._checked[pair][1:]
 
 
 def _versions(a: TopometricMap, b: TopometricMap) -> tuple[Version, Version]:
     return version_of(a), version_of(b)
+
+
+def _basis(a: TopometricMap, b: TopometricMap, config: MergeConfig) -> Basis:
+    return _versions(a, b), mark(config, a.agent, b.agent)
+
+
+def _basis_of(entry: Known) -> Basis:
+    return entry.versions, entry.parameters
 
 
 def _same_sessions(a: TopometricMap, b: TopometricMap, entry: Known) -> bool:

@@ -12,6 +12,7 @@ from topometric_ros.fusion.align import Prepared
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.gates import missed_gate, objection
 from topometric_ros.fusion.poses import Transform, angle, apart, inverse, level_frames
+from topometric_ros.fusion.priors import parse_priors, prior_between
 from topometric_ros.matching.evidence import Evidence, evaluate
 
 logger = logging.getLogger(__name__)
@@ -43,10 +44,14 @@ def standing(
 
     It gets the score that its transform has on them and loses the matches of rooms that are gone.
     What may conflict where no rival comes near, such as furniture that was moved, may do so here:
-    for rivals the maps were searched when it was accepted, and will be again.
+    for rivals the maps were searched when it was accepted, and will be again. A prior must allow
+    it.
     """
     if not alignment.accepted or alignment.T_a_b is None:
         return alignment, None
+    prior = prior_between(parse_priors(config.priors), *alignment.agents)
+    if prior is not None and not prior.allows(alignment.T_a_b):
+        return alignment, f"it lies {prior.told(alignment.T_a_b)}"
     evidence = _evidence_of(alignment.T_a_b, a, b, config)
     kept = _kept(alignment, evidence.value, a, b)
     if config.check == "none":
