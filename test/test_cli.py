@@ -103,7 +103,7 @@ def test_merge_takes_maps_and_clouds_alike(
     assert list(printed) == keys
     assert list(printed["alignments"][0]) == [
         *("agents", "status", "reason", "T_a_b", "alternatives"),
-        *("confidence", "overlap", "rmse", "covariance", "matches"),
+        *("score", "confidence", "overlap", "rmse", "inliers", "covariance", "matches"),
     ]
     assert {p.name for p in tmp_path.iterdir()} == {
         *("merge.json", "global.ply", "global.tmap", "report.html", "timings.json")

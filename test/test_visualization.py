@@ -105,11 +105,6 @@ def alone():
     )
 
 
-def test_timings_appear_only_when_given(merged_page):
-    assert "Timings" not in merged_page
-    assert "0.25" in report_html(alone(), [empty_map()], {"search": 0.25})
-
-
 def test_an_extraction_s_quality_appears_with_what_to_do(merged_page):
     quality = Quality(
         *(100, 50, 1, 2, 1, 20.0, {"all": 0.1}, 0.9, 0.8, (((0, 1), 20.0),)),

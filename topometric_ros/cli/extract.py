@@ -39,8 +39,12 @@ def add_parser(commands: Any) -> None:
 def extract(options: argparse.Namespace) -> int:
     """Extract one map and write it."""
     from topometric_ros.io.map_files import save_map
-    from topometric_ros.io.merge_files import rounded_timings
-    from topometric_ros.io.summaries import map_summary, write_json, write_rooms_ply
+    from topometric_ros.io.summaries import (
+        map_summary,
+        rounded_timings,
+        write_json,
+        write_rooms_ply,
+    )
     from topometric_ros.io.trajectories import write_trajectories
     from topometric_ros.runtime.bag_sources import parse_source
     from topometric_ros.runtime.sources import load_source

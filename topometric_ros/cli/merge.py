@@ -60,7 +60,8 @@ def merge(options: argparse.Namespace) -> int:
     """Load every source, merge the maps and write the result."""
     from topometric_ros.fusion.merge import merge as merge_maps
     from topometric_ros.fusion.priors import parse_priors
-    from topometric_ros.io.merge_files import merge_summary, rounded_timings
+    from topometric_ros.io.merge_files import merge_summary
+    from topometric_ros.io.summaries import rounded_timings
     from topometric_ros.runtime.sources import load_sources
 
     if len(options.sources) < 2:
@@ -99,8 +100,8 @@ def write_result(
     qualities: Mapping[str, Quality],
 ) -> None:
     """Write the files of a merge with the report."""
-    from topometric_ros.io.merge_files import rounded_timings, write_merge_files
-    from topometric_ros.io.summaries import write_json
+    from topometric_ros.io.merge_files import write_merge_files
+    from topometric_ros.io.summaries import rounded_timings, write_json
     from topometric_ros.io.trajectories import write_trajectories
     from topometric_ros.visualization.report import write_report
 

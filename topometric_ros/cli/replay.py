@@ -43,7 +43,8 @@ def add_parser(commands: Any) -> None:
 
 def replay(options: argparse.Namespace) -> int:
     """Replay the bags and write what came of it."""
-    from topometric_ros.io.merge_files import merge_summary, rounded_timings
+    from topometric_ros.io.merge_files import merge_summary
+    from topometric_ros.io.summaries import rounded_timings
     from topometric_ros.runtime.replay import find_agents
     from topometric_ros.runtime.replay import replay as replay_bags
 

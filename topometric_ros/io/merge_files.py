@@ -1,4 +1,4 @@
-"""What merging writes: merge.json, global.ply and global.tmap (design, section 4)."""
+"""What merging writes: merge.json, global.ply and global.tmap (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from topometric_ros.io.summaries import matrix_rows, write_json, write_rooms_ply
 
 
 def write_merge_files(folder: Path, result: MergeResult) -> None:
-    """Write merge.json, global.ply, global.tmap and timings.json into a folder.
+    """Write merge.json, global.ply and global.tmap into a folder.
 
     Where maps contradict each other changes.ply too: `agent` is the index of who holds a point.
     """
@@ -24,7 +24,6 @@ def write_merge_files(folder: Path, result: MergeResult) -> None:
     save_map(folder / "global.tmap", result.global_map.map, result.global_map.agents, observers)
     if result.global_map.changes:
         _write_changes(folder / "changes.ply", result.global_map)
-    write_json(folder / "timings.json", rounded_timings(result.timings))
 
 
 def _write_changes(path: Path, global_map: GlobalMap) -> None:
@@ -43,11 +42,6 @@ def _write_changes(path: Path, global_map: GlobalMap) -> None:
         part["green"] = 0 if change.gone else 180
         parts.append(part)
     write_ply(path, np.concatenate(parts))
-
-
-def rounded_timings(timings: dict[str, float]) -> dict[str, float]:
-    """Return CPU seconds by stage to a tenth of a millisecond."""
-    return {stage: round(float(seconds), 4) for stage, seconds in timings.items()}
 
 
 def merge_summary(result: MergeResult) -> dict[str, Any]:
@@ -86,9 +80,11 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
             {"T_a_b": matrix_rows(alternative.T_a_b), "score": float(alternative.score)}
             for alternative in alignment.alternatives
         ],
+        "score": float(alignment.score),
         "confidence": float(alignment.confidence),
         "overlap": float(alignment.overlap),
         "rmse": float(alignment.rmse),
+        "inliers": alignment.inliers if alignment.inliers is None else float(alignment.inliers),
         "covariance": matrix_rows(alignment.covariance),
         "matches": [
             [int(match.room_a), int(match.room_b), float(match.distance)]

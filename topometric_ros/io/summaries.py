@@ -1,4 +1,4 @@
-"""What people and other programs look at: map.json (a summary) and rooms.ply (design §4)."""
+"""What people and other programs look at: map.json (a summary) and rooms.ply (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -152,3 +152,8 @@ def building_fields(m: TopometricMap) -> dict[str, Any]:
         "bounds": [floats(corner) for corner in building.bounds],
         "floor_area": building.floor_area,
     }
+
+
+def rounded_timings(timings: dict[str, float]) -> dict[str, float]:
+    """Return CPU seconds by stage to a tenth of a millisecond."""
+    return {stage: round(float(seconds), 4) for stage, seconds in timings.items()}

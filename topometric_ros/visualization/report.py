@@ -63,7 +63,6 @@ def write_report(
     result: MergeResult,
     maps: Sequence[TopometricMap],
     path: Path,
-    timings: Mapping[str, float] | None = None,
     qualities: Mapping[str, Quality] | None = None,
 ) -> None:
     """Write the report of a merge as one self-contained HTML file.
@@ -73,16 +72,14 @@ def write_report(
     result : what merging found
     maps : the agents' own maps, in the order of `result.agents`
     path : file to write
-    timings : CPU seconds by stage; left out, the bytes depend on the result alone
     qualities : reports of the extractions by agent, of those that were extracted here
     """
-    path.write_text(report_html(result, maps, timings, qualities), encoding="utf-8")
+    path.write_text(report_html(result, maps, qualities), encoding="utf-8")
 
 
 def report_html(
     result: MergeResult,
     maps: Sequence[TopometricMap],
-    timings: Mapping[str, float] | None = None,
     qualities: Mapping[str, Quality] | None = None,
 ) -> str:
     """Return the report of a merge as HTML; parameters as of :func:`write_report`."""
@@ -96,7 +93,6 @@ def report_html(
         _agents_section(result),
         *(alignment_section(alignment, by_agent, names) for alignment in result.alignments),
         _maps_section(result, by_agent, qualities or {}),
-        _timings_section(timings),
     ]
     return page("Merge report: " + ", ".join(names), "\n".join(p for p in parts if p))
 
@@ -217,14 +213,6 @@ def _partners(agent: str, room: int, result: MergeResult) -> str:
             elif (agent, room) == (alignment.agents[1], match.room_b):
                 found.append(f"{alignment.agents[0]} {match.room_a}")
     return ", ".join(found)
-
-
-def _timings_section(timings: Mapping[str, float] | None) -> str:
-    if not timings:
-        return ""
-    rows = [[text(stage), number(seconds, 2)] for stage, seconds in timings.items()]
-    body = table(("stage", "CPU seconds"), rows, " n")
-    return f'<h2>Timings</h2><section class="card">{body}</section>'
 
 
 def _size(m: TopometricMap) -> str:
