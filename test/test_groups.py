@@ -100,6 +100,17 @@ def test_an_alignment_set_by_hand_is_never_withdrawn() -> None:
     assert groups.alignments[0].status is AlignmentStatus.WITHDRAWN
 
 
+def test_an_alignment_set_by_hand_weighs_as_much_as_is_said_of_it() -> None:
+    """Rigid without a covariance; with a wide one the alignments of the maps place the agent."""
+    ring = [edge("a", "b"), edge("b", "c"), edge("a", "c", 1.0, yaw_transform(0.0, (0.1, 0, 0)))]
+    by_hand = frozenset({("a", "c")})
+    rigid = group_agents(AGENTS[:3], ring, GroupsConfig(), by_hand)
+    ring[2] = dataclasses.replace(ring[2], covariance=np.eye(6))
+    wide = group_agents(AGENTS[:3], ring, GroupsConfig(), by_hand)
+    off = [np.linalg.norm((g.T_group_agent[2] - PLACES["c"])[:3, 3]) for g in (rigid, wide)]
+    assert off == pytest.approx([0.1, 0.0], abs=1e-3)
+
+
 def test_the_gap_of_a_cycle_is_read_where_the_maps_are() -> None:
     """A turn of half a degree about a far origin is not a gap of a metre."""
     far = np.array([0.0, 150.0, 0.0])

@@ -9,7 +9,7 @@ import pytest
 
 from test.helpers import yaw_transform
 from test.helpers_io import random_map
-from test.helpers_sessions import flat_map
+from test.helpers_sessions import flat_map, restarted
 from topometric_ros.alignment import Alignment, AlignmentStatus
 from topometric_ros.fusion.align import Prepared
 from topometric_ros.fusion.config import MergeConfig
@@ -21,8 +21,6 @@ from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.merger_state import Known, version_of
 from topometric_ros.runtime.stability import steadier
-from topometric_ros.runtime.transforms import TransformError
-from topometric_ros.topometric_map import TopometricMap
 
 
 def test_two_maps_of_one_place_are_merged() -> None:
@@ -49,34 +47,6 @@ def test_nothing_is_aligned_twice_and_nothing_published_before_it_is_known() -> 
     again = merger.merge(told.append)
     assert not [text for text in told if text.startswith("aligning")]
     assert again.alignments[0] is first.alignments[0] or again.alignments == first.alignments
-
-
-def test_an_alignment_set_by_hand_holds_until_removed() -> None:
-    merger = MergerSession(MergeConfig(), ["a", "b"])
-    merger.add_map(flat_map("a"))
-    merger.add_map(random_map(3, "b"))
-    T = yaw_transform(0.3, (1, 2, 0))
-    merger.set_alignment("b", "a", np.linalg.inv(T))
-    result = merger.merge()
-    assert result.alignments[0].status is AlignmentStatus.ACCEPTED
-    assert result.alignments[0].reason == "set by hand"
-    np.testing.assert_allclose(result.alignments[0].T_a_b, T, atol=1e-12)
-    np.testing.assert_allclose(merger.transforms()["b"], T, atol=1e-9)
-    assert merger.remove_alignment("a", "b")
-    assert not merger.remove_alignment("a", "b")
-    assert merger.merge().alignments[0].reason != "set by hand"
-
-
-def test_an_impossible_alignment_by_hand_is_refused() -> None:
-    merger = MergerSession(MergeConfig(), ["a", "b"])
-    for a, b, T, error, text in (
-        ("a", "c", np.eye(4), SessionError, "no agent 'c'; known: a, b"),
-        ("a", "a", np.eye(4), SessionError, "needs two agents"),
-        ("a", "b", np.zeros((4, 4)), TransformError, "not a rotation"),
-        ("a", "b", np.full((4, 4), np.nan), TransformError, "finite"),
-    ):
-        with pytest.raises(error, match=text):
-            merger.set_alignment(a, b, T)
 
 
 def test_a_new_session_stops_the_transform_and_keeps_the_old_map_until_it_is_aligned() -> None:
@@ -120,25 +90,6 @@ def test_a_map_that_moves_as_a_whole_is_noticed_aligned_anew_and_told() -> None:
     grown = dataclasses.replace(moved_b, session=b.session, sequence=b.sequence + 2)
     merger.add_map(grown)
     assert not any("whole map" in w for w in merger.merge().warnings)
-
-
-def restarted(agent: str) -> TopometricMap:
-    """Return a map of another place, of a session that follows the flat's."""
-    return dataclasses.replace(random_map(9, agent), session="new", sequence=1)
-
-
-def test_an_alignment_set_by_hand_after_a_restart_is_of_the_new_session() -> None:
-    merger = MergerSession(MergeConfig(), ["a", "b"])
-    merger.add_map(flat_map("a"))
-    merger.add_map(flat_map("b", 1))
-    merger.set_alignment("a", "b", np.eye(4))
-    merger.merge()
-    merger.add_map(restarted("b"))
-    T = yaw_transform(0.3, (1, 2, 0))
-    merger.set_alignment("a", "b", T)
-    merger.merge()
-    assert (merger.maps["b"].session, merger.stale) == ("new", ())
-    np.testing.assert_allclose(merger.transforms()["b"], T, atol=1e-12)
 
 
 def test_a_new_session_that_did_not_align_is_tried_again_only_with_another_map() -> None:
@@ -306,7 +257,7 @@ def test_an_agent_that_is_forgotten_leaves_and_may_come_back() -> None:
     merger.forget("b")
     result = merger.merge()
     assert [agent.id for agent in result.agents] == ["a"]
-    assert merger.fixed() == {}
+    assert merger.by_hand.fixed == {}
     assert merger.add_map(flat_map("b", 1))
     assert len(merger.merge().agents) == 2
 

@@ -25,6 +25,7 @@ def remembering() -> MergerSession:
     merger.add_map(flat_map("b", 1))
     merger.add_map(random_map(3, "c"))
     merger.set_alignment("a", "c", yaw_transform(0.3, (1, 2, 0)))
+    merger.remove_alignment("c", "b")
     merger.merge()
     return merger
 
@@ -46,7 +47,9 @@ def test_a_restarted_merger_has_the_same_result_without_aligning_again(tmp_path:
         assert one.inliers == two.inliers
     assert 0.5 < (result.alignments[0].inliers or 0.0) <= 1.0
     np.testing.assert_array_equal(before.result.global_map.map.voxels, result.global_map.map.voxels)
-    assert set(after.fixed()) == {("a", "c")}
+    assert set(after.by_hand.fixed) == {("a", "c")}
+    assert after.by_hand.removed == (("b", "c"),)
+    assert result.alignments[2].reason == "removed by hand"
 
 
 def test_the_same_memory_gives_the_same_bytes(tmp_path: Path) -> None:

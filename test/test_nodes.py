@@ -277,7 +277,9 @@ def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
     T[0, 3] = 10.0
     assert call("SetAlignment", agent_a="a", agent_b="c", t_a_b=T.ravel()).code == 4
     assert call("SetAlignment", agent_a="a", agent_b="b", t_a_b=2 * T.ravel()).code == 5
-    assert call("SetAlignment", agent_a="a", agent_b="b", t_a_b=T.ravel()).code == 0
+    pair = {"agent_a": "a", "agent_b": "b", "t_a_b": T.ravel()}
+    assert call("SetAlignment", **pair, covariance=-np.eye(6).ravel()).code == 7
+    assert call("SetAlignment", **pair, covariance=0.01 * np.eye(6).ravel()).code == 0
     assert call("MergeNow").aligned == 2
     assert children() == {"a/map", "b/map"}
     (placed,) = (e for e in transforms.last.transforms if e.child_frame_id == "b/map")
@@ -286,8 +288,17 @@ def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
     assert load_global_map(tmp_path / "global.tmap")[2] == ("a", "b")
 
     assert call("RemoveAlignment", agent_a="a", agent_b="b").code == 0
-    assert call("RemoveAlignment", agent_a="a", agent_b="b").code == 6
     assert call("MergeNow").aligned == 1
+    removed = call("RemoveAlignment", agent_a="a", agent_b="b")
+    assert (removed.code, removed.message) == (
+        0,
+        "a and b: removed by hand, until it is allowed",
+    )
+    assert call("RemoveAlignment", agent_a="b", agent_b="a").code == 6
+    assert call("MergeNow").aligned == 1
+    assert "a and b: withdrawn: removed by hand" in process.log
+    assert call("RemoveAlignment", agent_a="a", agent_b="b", allow=True).code == 0
+    assert call("RemoveAlignment", agent_a="a", agent_b="b", allow=True).code == 6
     assert children() == {"a/map"}
     assert call("Reset").code == 0
     assert call("SaveMap", path=str(tmp_path / "none.tmap")).code == 1

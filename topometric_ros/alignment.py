@@ -18,6 +18,8 @@ from topometric_ros.topometric_map import TopometricMap
 MERGE_SCHEMA = "topometric-merge/1"
 BY_HAND = "set by hand"
 """The reason of an alignment that an operator has fixed."""
+REMOVED_BY_HAND = "removed by hand"
+"""The reason of a pair that an operator does not want aligned."""
 WAITING = "the newest maps are not compared yet"
 """How the reason of a verdict ends that is of older maps than those held, or of none at all."""
 

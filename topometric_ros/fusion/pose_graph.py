@@ -31,7 +31,8 @@ class Link:
     """An alignment in the pose graph: agents by number, `T_a_b` between their frames.
 
     `covariance` is that of the alignment, (6, 6) over (x, y, z, roll, pitch, yaw), or None;
-    `fixed` links were set by hand and are never switched off.
+    `fixed` links were set by hand and are never switched off; without a covariance they hold as
+    they are.
     """
 
     a: int
@@ -122,7 +123,7 @@ def optimised(
 
 def _information(link: Link, middle: NDArray[np.float64]) -> tuple[float, float]:
     """Return the weights of a link's gap and turn: one over its variances at b's middle."""
-    if link.fixed:
+    if link.fixed and link.covariance is None:
         return 1e6 / _FLOOR[0] ** 2, 1e6 / _FLOOR[1] ** 2
     if link.covariance is None:
         return 1.0 / _FLOOR[0] ** 2, 1.0 / _FLOOR[1] ** 2

@@ -145,6 +145,21 @@ class MergerNodeConfig:
         minimum=-1,
         maximum=1000,
     )
+    by_hand_sigma: float = parameter(
+        0.1,
+        "Standard deviation along each axis that is told of an alignment that was set by hand "
+        "without a covariance; the merger itself then takes it as it is.",
+        unit="m",
+        minimum=0.001,
+        maximum=100.0,
+    )
+    by_hand_turn_sigma: float = parameter(
+        1.0,
+        "Standard deviation of its turns about each axis.",
+        unit="deg",
+        minimum=0.01,
+        maximum=180.0,
+    )
     state_file: str = parameter(
         "",
         "File that keeps maps, alignments and what was set by hand across a restart; written when "

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
 from collections.abc import Hashable, Sequence
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
 from topometric_msgs.msg import AlignmentArray
 from topometric_msgs.msg import TopometricMap as MapMessage
 
@@ -28,6 +31,7 @@ from topometric_ros.nodes.roster import Roster
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
 from topometric_ros.nodes.worker import Inbox, Pace, Worker
 from topometric_ros.runtime.alignment_codec import offers_from_message
+from topometric_ros.runtime.by_hand import covariance_of
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.message_codec import ReceivedMap, map_from_message
@@ -50,6 +54,8 @@ _CHANGEABLE_OF_NODE = (
     "forget_after",
     "max_voxels",
     "max_threads",
+    "by_hand_sigma",
+    "by_hand_turn_sigma",
 )
 
 
@@ -128,7 +134,13 @@ class Merger(TopometricNode):
     def _is_told_otherwise(self) -> bool:
         """Whether parameters have changed on which something rests that is held or published."""
         storey = self.session.result is not None and self._storey != self._own.grid_storey
-        return storey or (bool(self.session.maps) and self.session.config != self._wanted)
+        by_hand = (self.session.covariance_by_hand != self._covariance_by_hand()).any()
+        changed = bool(by_hand) or self.session.config != self._wanted
+        return storey or (bool(self.session.maps) and changed)
+
+    def _covariance_by_hand(self) -> NDArray[np.float64]:
+        turn = math.radians(self._own.by_hand_turn_sigma)
+        return covariance_of(self._own.by_hand_sigma, turn)
 
     def _hear(self, message: AlignmentArray) -> None:
         if not self._out.is_own(message):
@@ -203,6 +215,7 @@ class Merger(TopometricNode):
 
     def _align(self, limit: int | None) -> None:
         self.session.config, self.session.threads = self._wanted, self._own.max_threads
+        self.session.covariance_by_hand = self._covariance_by_hand()
         placed = self.session.align(limit)
         self.report.placed, self.report.waiting = placed, self.session.waiting
         self.report.failure = ""

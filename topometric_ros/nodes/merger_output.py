@@ -53,7 +53,9 @@ class Shown:
         )
         maps = (versions, session.config.fuse)
         places = tuple(agent.T_group_agent.tobytes() for agent in agents)
-        verdicts = tuple((x.agents, x.status, x.reason, _bytes(x.T_a_b)) for x in found)
+        verdicts = tuple(
+            (x.agents, x.status, x.reason, _bytes(x.T_a_b), _bytes(x.covariance)) for x in found
+        )
         return cls(maps, places, (maps, places, verdicts, tuple(stale)))
 
 
@@ -118,8 +120,8 @@ class MergerOutput:
             self._grid.publish(grid)
 
 
-def _bytes(T: NDArray[np.float64] | None) -> bytes:
-    return b"" if T is None else T.tobytes()
+def _bytes(matrix: NDArray[np.float64] | None) -> bytes:
+    return b"" if matrix is None else matrix.tobytes()
 
 
 def _mark(message: AlignmentArray) -> Hashable:

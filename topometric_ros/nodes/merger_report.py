@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from topometric_ros.alignment import (
+    REMOVED_BY_HAND,
     AgentPlacement,
     AgentStatus,
     Alignment,
@@ -146,4 +147,5 @@ def _alignment(node: str, x: Alignment, age: int, rooms: Mapping[str, int]) -> S
         values |= {"overlap": float(x.overlap), "rmse [m]": float(x.rmse)}
         values |= {} if x.inliers is None else {"inliers": float(x.inliers)}
     name = f"{node}: alignment {' - '.join(x.agents)}"
-    return Status(name, _ALIGNMENT_LEVELS[x.status], f"{x.status}: {x.reason}", values)
+    level = Level.WARN if x.reason == REMOVED_BY_HAND else _ALIGNMENT_LEVELS[x.status]
+    return Status(name, level, f"{x.status}: {x.reason}", values)

@@ -11,6 +11,7 @@ from topometric_msgs.srv import LoadMap, MergeNow, RemoveAlignment, Reset, SaveM
 from topometric_ros.errors import TopometricError
 from topometric_ros.io.map_files import load_map, save_map
 from topometric_ros.nodes.services import computed, offer, written
+from topometric_ros.runtime.by_hand import CovarianceError
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.transforms import TransformError
 
@@ -100,11 +101,17 @@ class _MergerServices:
 
     def set_alignment(self, request: Any, response: Any) -> Any:
         a, b = request.agent_a, request.agent_b
+        T_a_b = np.array(request.t_a_b).reshape(4, 4)
+        told = np.array(request.covariance).reshape(6, 6)
+        covariance = told if told.any() else None
         with self._node.working:
             try:
-                self._node.session.set_alignment(a, b, np.array(request.t_a_b).reshape(4, 4))
+                self._node.session.set_alignment(a, b, T_a_b, covariance)
             except SessionError as error:
                 response.code, response.message = response.UNKNOWN_AGENT, str(error)
+                return response
+            except CovarianceError as error:
+                response.code, response.message = response.INVALID_COVARIANCE, str(error)
                 return response
             except TransformError as error:
                 response.code, response.message = response.INVALID_TRANSFORM, str(error)
@@ -117,18 +124,22 @@ class _MergerServices:
 
     def remove_alignment(self, request: Any, response: Any) -> Any:
         a, b = request.agent_a, request.agent_b
+        session = self._node.session
         with self._node.working:
             try:
-                removed = self._node.session.remove_alignment(a, b)
+                done = session.remove_alignment(a, b, request.allow)
             except SessionError as error:
                 response.code, response.message = response.UNKNOWN_AGENT, str(error)
                 return response
-            self._node.fresh = bool(self._node.session.maps)
+            forbidden = session.by_hand.forbids(a, b)
+            self._node.fresh = bool(session.maps)
             self._node.remember()
-        if not removed:
+        if not done:
             response.code = response.NO_ALIGNMENT
-            response.message = f"no alignment of {a} and {b} was set by hand"
+            text = "removed by hand before" if forbidden else "nothing was set or removed by hand"
+            response.message = f"{a} and {b}: {text}"
             return response
-        response.code, response.message = response.SUCCESS, f"{a} and {b}: the maps decide again"
+        text = "removed by hand, until it is allowed" if forbidden else "the maps decide again"
+        response.code, response.message = response.SUCCESS, f"{a} and {b}: {text}"
         self._node.get_logger().info(response.message)
         return response

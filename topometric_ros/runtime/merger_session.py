@@ -16,20 +16,21 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.alignment import BY_HAND, Alignment, AlignmentStatus, MergeResult, Placed
+from topometric_ros.alignment import MergeResult, Placed
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import MOST_AGENTS, fused, place
+from topometric_ros.runtime.by_hand import ByHand, covariance_of, taken_back
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_state import Known, MergerState
 from topometric_ros.runtime.moved_maps import MOVED, move_told, still_there
-from topometric_ros.runtime.pairs import Pair, Pairs
-from topometric_ros.runtime.transforms import check_rigid
+from topometric_ros.runtime.pairs import Pairs
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[str], None] | None
+Matrix = NDArray[np.float64]
 
 
 class MergerSession:
@@ -46,11 +47,13 @@ class MergerSession:
     def __init__(self, config: MergeConfig, agents: Sequence[str] = (), threads: int = 1) -> None:
         self.config = config
         self.threads = threads
+        self.covariance_by_hand = covariance_of(0.1, np.radians(1.0))
+        """(6, 6), what is told of transforms that are set by hand without a covariance."""
         self._order = list(agents)
         self.reset()
 
     def reset(self) -> None:
-        """Forget all maps and alignments, those set by hand included."""
+        """Forget all maps and alignments, and what was said of them by hand."""
         self.maps: dict[str, TopometricMap] = {}
         """The map of each agent that takes part in the result."""
         self.sources: dict[str, str] = {}
@@ -63,7 +66,8 @@ class MergerSession:
         self._newer_session: dict[str, TopometricMap] = {}
         self._ended: dict[str, set[str]] = {}
         self._pairs = Pairs()
-        self._fixed: dict[Pair, Alignment] = {}
+        self.by_hand = ByHand()
+        """What an operator has said of pairs."""
         self._moved: dict[str, str] = {}
         self._watch = Stopwatch()
 
@@ -108,7 +112,7 @@ class MergerSession:
         logger.info("%s: session %s follows %s", m.agent, m.session, newest.session)
         self._ended.setdefault(m.agent, set()).add(newest.session)
         self._newer_session[m.agent] = m
-        self._fixed = {p: x for p, x in self._fixed.items() if m.agent not in p}
+        self.by_hand.end_session(m.agent)
         return True
 
     def merge(self, progress: Progress = None) -> MergeResult:
@@ -147,7 +151,7 @@ class MergerSession:
         pairs = [
             (self.maps[a], self.maps[b])
             for a, b in itertools.combinations(order, 2)
-            if not self._by_hand(a, b)
+            if not (self.by_hand.fixes(a, b) or self.by_hand.forbids(a, b))
         ]
         due = self._pairs.due(pairs, self.config, {order[0], *self._in_place()})
         chosen = due if left is None else due[:left]
@@ -157,12 +161,16 @@ class MergerSession:
         self.waiting = len(due) - len(chosen) + untried
         maps = [self.maps[agent] for agent in order]
         known = {(a.agent, b.agent): self._pairs.alignment(a, b, self.config) for a, b in pairs}
-        placed = place(maps, self.config, known, sources=self.sources, fixed=self._fixed)
+        known |= {(a, b): taken_back(a, b) for a, b in self.by_hand.removed}
+        placed = place(maps, self.config, known, sources=self.sources, fixed=self.by_hand.fixed)
         told = (*self._moved.values(), *map(self._stale_warning, self.stale))
         if not self.waiting:
             self._moved = {}
         self.placed = dataclasses.replace(
-            placed, warnings=(*placed.warnings, *told), timings=dict(self._watch.seconds)
+            placed,
+            alignments=self.by_hand.with_covariance(placed.alignments, self.covariance_by_hand),
+            warnings=(*placed.warnings, *told),
+            timings=dict(self._watch.seconds),
         )
         return self.placed
 
@@ -183,7 +191,7 @@ class MergerSession:
         self._watch = Stopwatch()
         return self.result
 
-    def transforms(self) -> dict[str, NDArray[np.float64]]:
+    def transforms(self) -> dict[str, Matrix]:
         """Return `T_global_agent` (4, 4) of every agent whose place is known now.
 
         An agent whose newer session is not aligned yet has none: its old transform says nothing
@@ -197,30 +205,25 @@ class MergerSession:
             if agent.T_global_agent is not None and agent.id not in self._newer_session
         }
 
-    def set_alignment(self, a: str, b: str, T_a_b: NDArray[np.float64]) -> None:
+    def set_alignment(
+        self, a: str, b: str, T_a_b: Matrix, covariance: Matrix | None = None
+    ) -> None:
         """Fix the transform between two agents; it stays until removed or a session ends.
 
         Raises
         ------
         SessionError
             The agents are not two that the merger knows.
-        TransformError
-            `T_a_b` is no rigid motion.
+        TransformError, CovarianceError
+            `T_a_b` is no rigid motion, or `covariance` (6, 6) can be none of it.
         """
         self._require_pair(a, b)
-        T_a_b = np.asarray(T_a_b, np.float64)
-        check_rigid(T_a_b, f"alignment of {a} and {b}")
-        self._fixed.pop((b, a), None)
-        self._fixed[a, b] = Alignment(
-            agents=(a, b),
-            status=AlignmentStatus.ACCEPTED,
-            reason=BY_HAND,
-            T_a_b=T_a_b,
-            confidence=1.0,
-        )
+        self.by_hand.set(a, b, T_a_b, covariance)
 
-    def remove_alignment(self, a: str, b: str) -> bool:
-        """Let the maps decide again about two agents; False where nothing was set by hand.
+    def remove_alignment(self, a: str, b: str, allow: bool = False) -> bool:
+        """Take back what was set by hand, else what the maps say of two agents, now and later on.
+
+        With `allow` the maps decide again in any case. Return False where nothing is changed.
 
         Raises
         ------
@@ -228,11 +231,7 @@ class MergerSession:
             The agents are not two that the merger knows.
         """
         self._require_pair(a, b)
-        return any(self._fixed.pop(pair, None) for pair in ((a, b), (b, a)))
-
-    def fixed(self) -> dict[Pair, Alignment]:
-        """Return the alignments that were set by hand."""
-        return dict(self._fixed)
+        return self.by_hand.allow(a, b) if allow else self.by_hand.remove(a, b)
 
     def state(self) -> MergerState:
         """Return what is known, to be restored after a restart."""
@@ -243,7 +242,8 @@ class MergerSession:
             sources=dict(self.sources),
             ended={agent: tuple(sorted(sessions)) for agent, sessions in self._ended.items()},
             known=tuple(self._pairs.known.values()),
-            fixed=tuple(self._fixed.values()),
+            fixed=tuple(self.by_hand.fixed.values()),
+            removed=self.by_hand.removed,
         )
 
     def restore(self, state: MergerState) -> None:
@@ -255,13 +255,13 @@ class MergerSession:
         self.sources = dict(state.sources)
         self._ended = {agent: set(sessions) for agent, sessions in state.ended.items()}
         self._pairs.known = {entry.alignment.agents: entry for entry in state.known}
-        self._fixed = {alignment.agents: alignment for alignment in state.fixed}
+        self.by_hand = ByHand({x.agents: x for x in state.fixed}, state.removed)
 
     def forget(self, agent: str) -> None:
         """Take an agent out of the result; it may come back with any map."""
         for held in (self.maps, self._newer_session, self.sources, self._ended):
             held.pop(agent, None)
-        self._fixed = {p: x for p, x in self._fixed.items() if agent not in p}
+        self.by_hand.end_session(agent)
         self._pairs.forget(agent)
         if not self.maps:
             self.placed, self.waiting = None, 0
@@ -307,17 +307,21 @@ class MergerSession:
 
     def _must_align(self, agent: str) -> bool:
         """Whether a newer session's map must align with another before it takes its place."""
-        placed = self._in_place()
         # What was set by hand before the new session is gone; what is there means the new one.
-        by_hand = any(agent in pair for pair in self._fixed)
-        return agent in placed and len(placed) >= 2 and not by_hand
+        by_hand = any(agent in pair for pair in self.by_hand.fixed)
+        return agent in self._in_place() and bool(self._partners(agent)) and not by_hand
+
+    def _partners(self, agent: str) -> list[str]:
+        """Return the agents in place that another may be aligned with."""
+        placed = [x for x in self._in_place() if x != agent and x in self.maps]
+        return [x for x in placed if not self.by_hand.forbids(agent, x)]
 
     def _untried(self, agent: str) -> list[str]:
         """Return the agents in place that a newer session's map was not aligned with yet."""
         if not self._must_align(agent):
             return []
-        others = [other for other in self._in_place() if other != agent and other in self.maps]
-        pairs = {o: self._in_order(self._newer_session[agent], self.maps[o]) for o in others}
+        newer = self._newer_session[agent]
+        pairs = {o: self._in_order(newer, self.maps[o]) for o in self._partners(agent)}
         return [
             other
             for other, (a, b) in pairs.items()
@@ -327,15 +331,12 @@ class MergerSession:
     def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:
         return (x, y) if self._order.index(x.agent) < self._order.index(y.agent) else (y, x)
 
-    def _by_hand(self, a: str, b: str) -> bool:
-        return (a, b) in self._fixed or (b, a) in self._fixed
-
     def _notice_move(self, old: TopometricMap, new: TopometricMap) -> None:
         """Remember that an agent's map has moved as a whole, as when its SLAM closes a loop."""
         share = still_there(old, new)
         if share >= MOVED:
             return
-        others = sorted({a for pair in self._fixed if new.agent in pair for a in pair})
+        others = sorted({a for pair in self.by_hand.fixed if new.agent in pair for a in pair})
         told = move_told(new.agent, share, [a for a in others if a != new.agent])
         self._moved[new.agent] = told
         self._pairs.void(new.agent)

@@ -51,7 +51,8 @@ class MergerState:
     """A merger's memory: see :class:`MergerSession` for what the parts mean.
 
     `newer` are maps of sessions that are not aligned yet, `ended` the sessions that each agent has
-    left behind, `fixed` the alignments that were set by hand.
+    left behind, `fixed` the alignments that were set by hand, `removed` the pairs that were taken
+    back.
     """
 
     order: tuple[str, ...] = ()
@@ -61,6 +62,7 @@ class MergerState:
     ended: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     known: tuple[Known, ...] = ()
     fixed: tuple[Alignment, ...] = ()
+    removed: tuple[tuple[str, str], ...] = ()
 
 
 class EncodedMaps:
@@ -111,6 +113,7 @@ def save_state(path: Path, state: MergerState, encoded: EncodedMaps | None = Non
             for entry in state.known
         ],
         "fixed": [_fields(alignment) for alignment in state.fixed],
+        "removed": [list(pair) for pair in state.removed],
     }
     try:
         sections = [
@@ -148,6 +151,7 @@ def load_state(path: Path) -> MergerState:
             ended={str(a): tuple(map(str, sessions)) for a, sessions in fields["ended"].items()},
             known=tuple(_known(entry) for entry in fields["known"]),
             fixed=tuple(_alignment(entry) for entry in fields["fixed"]),
+            removed=tuple((str(a), str(b)) for a, b in fields.get("removed", ())),
         )
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, TransformError) as error:
         raise MapFileError(f"{path}: the state makes no sense: {error!r}") from error
