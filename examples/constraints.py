@@ -4,7 +4,8 @@
 
 Every accepted alignment becomes a nav_msgs/Odometry on `constraints`: the pose of the map frame of
 agent b (`child_frame_id`) in that of agent a (`header.frame_id`), with its covariance. It is sent
-again only when it changed; a late back end gets what is latched. See docs/pose-graph.md.
+again only when it changed; one that no longer holds is sent once more with -1 as the first number
+of its covariance. A late back end gets what is latched. See docs/pose-graph.md.
 """
 
 from __future__ import annotations
@@ -19,6 +20,10 @@ from topometric_msgs.msg import Alignment, AlignmentArray
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ALL_PAIRS = QoSProfile(depth=500, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+Pair = tuple[str, str]
+GONE = -1.0
+"""In the place of the first variance: take the constraint of these two frames out."""
 
 
 def constraints(array: AlignmentArray) -> list[Odometry]:
@@ -40,22 +45,33 @@ def constraints(array: AlignmentArray) -> list[Odometry]:
     return found
 
 
+def updates(sent: dict[Pair, Odometry], edges: list[Odometry]) -> list[Odometry]:
+    """Return what is to be sent so that a back end holds just these edges, and note it in `sent`.
+
+    What changed comes first, then what does not hold any more, with a covariance of -1.
+    """
+    now = {(edge.header.frame_id, edge.child_frame_id): edge for edge in edges}
+    changed = [e for pair, e in now.items() if pair not in sent or sent[pair].pose != e.pose]
+    gone = [edge for pair, edge in sent.items() if pair not in now]
+    sent.clear()
+    sent.update(now)
+    for edge in gone:
+        edge.pose.covariance[0] = GONE
+    return [*changed, *gone]
+
+
 class Constraints(Node):
     """Subscribes `alignments`, publishes `constraints`."""
 
     def __init__(self) -> None:
         super().__init__("constraints")
-        self._sent: dict[tuple[str, str], Odometry] = {}
+        self._sent: dict[Pair, Odometry] = {}
         self._publisher = self.create_publisher(Odometry, "constraints", ALL_PAIRS)
         self.create_subscription(AlignmentArray, "alignments", self._take, LATCHED)
 
     def _take(self, array: AlignmentArray) -> None:
-        for edge in constraints(array):
-            pair = (edge.header.frame_id, edge.child_frame_id)
-            before = self._sent.get(pair)
-            if before is None or before.pose != edge.pose:
-                self._sent[pair] = edge
-                self._publisher.publish(edge)
+        for edge in updates(self._sent, constraints(array)):
+            self._publisher.publish(edge)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
     python examples/pose_graph.py --ros-args -p anchor:=robot1/map
 
 It knows nothing of topometric_msgs: it reads nav_msgs/Odometry on `constraints`, weighs each by its
-covariance and logs where every frame lies in the anchor. See docs/pose-graph.md.
+covariance, takes it out where that begins with -1, and logs where every frame lies in the anchor.
+See docs/pose-graph.md.
 """
 
 from __future__ import annotations
@@ -24,14 +25,16 @@ Edge = tuple[NDArray[np.float64], NDArray[np.float64]]
 """`T_a_b` (4, 4) and the upper root of its information (6, 6)."""
 
 
-def edge_of(message: Odometry) -> tuple[Pair, Edge]:
-    """Return a constraint's frames, its transform and how much a residual of it weighs."""
+def edge_of(message: Odometry) -> tuple[Pair, Edge | None]:
+    """Return a constraint's frames, its transform and how much it weighs; None: it is gone."""
+    pair = (message.header.frame_id, message.child_frame_id)
+    if message.pose.covariance[0] < 0:
+        return pair, None
     at, turned = message.pose.pose.position, message.pose.pose.orientation
     T = np.eye(4)
     T[:3, :3] = Rotation.from_quat([turned.x, turned.y, turned.z, turned.w]).as_matrix()
     T[:3, 3] = at.x, at.y, at.z
     information = np.linalg.inv(np.array(message.pose.covariance).reshape(6, 6))
-    pair = (message.header.frame_id, message.child_frame_id)
     return pair, (T, np.linalg.cholesky(information).T)
 
 
@@ -88,7 +91,10 @@ class PoseGraph(Node):
 
     def _take(self, message: Odometry) -> None:
         pair, edge = edge_of(message)
-        self._edges[pair] = edge
+        if edge is None:
+            self._edges.pop(pair, None)
+        else:
+            self._edges[pair] = edge
         for name, T in solve(self._edges, self._anchor).items():
             yaw = np.degrees(np.arctan2(T[1, 0], T[0, 0]))
             x, y, z = T[:3, 3]

@@ -10,6 +10,10 @@ import pytest
 
 from test import helpers_ros
 from test.helpers import yaw_transform
+from test.helpers_io import random_map
+from test.helpers_sessions import flat_map
+from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.runtime.merger_session import MergerSession
 
 pytestmark = pytest.mark.skipif(bool(helpers_ros.missing()), reason=helpers_ros.missing())
 
@@ -48,3 +52,31 @@ def test_alignments_become_constraints_and_the_surer_one_weighs_more() -> None:
     assert set(found) == {"a/map", "b/map", "c/map"}
     for name, T in truth.items():
         np.testing.assert_allclose(found[f"{name}/map"], T, atol=1e-3)
+
+
+def test_an_alignment_by_hand_goes_along_and_one_that_is_removed_is_taken_out() -> None:
+    from topometric_ros.nodes.messages import message_classes
+    from topometric_ros.runtime.alignment_codec import alignments_to_message
+
+    to_constraints, back_end = example("constraints"), example("pose_graph")
+    merger = MergerSession(MergeConfig(), ["a", "b"])
+    merger.add_map(flat_map("a"))
+    merger.add_map(random_map(3, "b"))
+    merger.set_alignment("a", "b", yaw_transform(0.3, (1, 2, 0)))
+    sent, edges = {}, {}
+
+    def send() -> int:
+        array = alignments_to_message(merger.align(), message_classes(), 0, merger.maps)
+        told = to_constraints.updates(sent, to_constraints.constraints(array))
+        for pair, edge in map(back_end.edge_of, told):
+            edges[pair] = edge
+        return len(told)
+
+    assert send() == 1
+    ((_, root),) = edges.values()
+    np.testing.assert_allclose(root[0, 0], 1 / 0.1, err_msg="the inverse of by_hand_sigma")
+    assert send() == 0, "nothing has changed"
+    merger.remove_alignment("a", "b")
+    assert send() == 1
+    assert list(edges.values()) == [None]
+    assert send() == 0
