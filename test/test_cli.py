@@ -215,6 +215,9 @@ def test_wrong_settings_end_with_status_2(
     (tmp_path / "loop.yaml").write_text("extraction: &a {level: *a}")
     line = fails([*base, "--config", tmp_path / "loop.yaml"], capsys)
     assert "refers to what holds it" in line
+    with pytest.raises(SystemExit):
+        main(["replay", "a.bag", "-o", str(tmp_path / "o"), "--every", "-1"])
+    assert "--every: expected a number of seconds from 0 on, got '-1'" in capsys.readouterr().err
 
 
 def test_a_file_whose_name_is_no_utf8_gets_a_name_that_can_be_written() -> None:

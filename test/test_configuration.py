@@ -1,5 +1,6 @@
 """Configurations are the one source of defaults, names, units and ranges."""
 
+import array
 from dataclasses import dataclass, field
 
 import pytest
@@ -10,9 +11,12 @@ from topometric_ros.configuration import (
     nested,
     parameter,
     parameters,
+    validate,
     with_values,
 )
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.extraction.config import extraction_preset
+from topometric_ros.fusion.config import merge_preset
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,7 @@ class Outer:
     inner: Inner = field(default_factory=Inner)
     steps: int = parameter(3, "How many steps.", minimum=1)
     sources: tuple[str, ...] = parameter(("rooms",), "Where hypotheses come from.")
+    axis: tuple[float, ...] = parameter((0.0, 0.0, 1.0), "Which axis.", count=(3, 3))
 
 
 def test_nested_configurations_have_dotted_names():
@@ -34,6 +39,7 @@ def test_nested_configurations_have_dotted_names():
         "inner.method": "sum",
         "steps": 3,
         "sources": ("rooms",),
+        "axis": (0.0, 0.0, 1.0),
     }
 
 
@@ -44,6 +50,18 @@ def test_the_file_form_reads_back_to_the_same_configuration():
 
 def test_whole_numbers_serve_where_a_length_is_asked_for():
     assert with_values(Outer(), {"inner.height": 1}).inner.height == 1.0
+
+
+def test_numbers_of_a_list_may_come_as_texts_as_older_files_have_them():
+    assert with_values(Outer(), {"axis": ["0", "1", "0"]}).axis == (0.0, 1.0, 0.0)
+    values = array.array("d", [1.0, 0.0, 0.0])
+    assert with_values(Outer(), {"axis": values}).axis == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("preset", ["default", "thesis"])
+def test_the_presets_are_within_their_own_limits(preset):
+    validate(extraction_preset(preset))
+    validate(merge_preset(preset))
 
 
 def test_every_parameter_knows_its_unit_and_description():
@@ -62,6 +80,9 @@ def test_every_parameter_knows_its_unit_and_description():
         ({"inner.method": "mean"}, "sum, max"),
         ({"steps": 0}, "steps"),
         ({"steps": True}, "int"),
+        ({"steps": 0}, "steps: expected at least 1, got 0"),
+        ({"sources": "rooms"}, "sources: expected a list of texts, got 'rooms'"),
+        ({"axis": [1, 2]}, r"axis: expected a list of 3 numbers, got \[1, 2\]"),
     ],
 )
 def test_a_wrong_value_is_refused_with_what_was_expected(values, said):

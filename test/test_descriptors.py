@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from test.helpers import yaw_transform
 from test.helpers_matching import A_ROOMS, T_BUILDING_A, agent_map
+from topometric_ros.configuration import with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.matching import planes
 from topometric_ros.matching.assignment import cost_matrix
@@ -203,6 +204,6 @@ def test_merged_context_describes_the_room_with_its_neighbours() -> None:
 
 
 def test_an_unknown_descriptor_is_refused_by_name() -> None:
-    config = MatchingConfig(descriptors=DescriptorConfig(names=("guessed",)))
-    with pytest.raises(ConfigurationError, match="guessed"):
-        describe(agent_map("a", (2,), T_BUILDING_A), config)
+    for names in (["shape", "guessed"], []):
+        with pytest.raises(ConfigurationError, match="out of engineered, spectral, shape,"):
+            with_values(MatchingConfig(), {"descriptors.names": names})

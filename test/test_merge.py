@@ -241,7 +241,7 @@ def test_agents_of_one_name_and_too_many_agents_are_refused() -> None:
     with pytest.raises(MergeError, match="no maps"):
         merge([], DEFAULT)
     with pytest.raises(ConfigurationError, match="sources"):
-        align(a, b, dataclasses.replace(DEFAULT, sources=("guess",)))
+        merge([a, b], dataclasses.replace(DEFAULT, sources=("guess",)))
 
 
 def test_known_alignments_are_kept_and_fixed_ones_believed() -> None:

@@ -1,26 +1,17 @@
-"""What the nodes are made of: QoS, parameters, the worker, markers and clouds."""
+"""What the nodes are made of: QoS, the worker, markers and clouds."""
 
 from __future__ import annotations
 
-import array
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from test.helpers_ros import missing, private_context
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Placed
-from topometric_ros.configuration import parameter
-from topometric_ros.errors import ConfigurationError
-from topometric_ros.extraction.config import extraction_preset
-from topometric_ros.fusion.config import merge_preset
-from topometric_ros.nodes.config import ExtractorNodeConfig, MergerNodeConfig
 from topometric_ros.topometric_map import Passage, Room, Storey, StoreyLayers, TopometricMap
 
 if missing():
@@ -30,11 +21,11 @@ import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.executors import MultiThreadedExecutor
-from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter import Parameter
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
-from topometric_ros.nodes import parameters, qos, tf
+from topometric_ros.nodes import qos, tf
 from topometric_ros.nodes.diagnostics import Level, Status, to_message
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.merger_report import InputReport, MergerReport
@@ -42,138 +33,11 @@ from topometric_ros.nodes.running import TopometricNode, spin
 from topometric_ros.nodes.worker import Inbox, Worker
 
 
-@dataclass(frozen=True)
-class Walls:
-    thickness: float = parameter(0.1, "Of a wall.", unit="m", minimum=0.0, maximum=1.0)
-
-
-@dataclass(frozen=True)
-class Stage:
-    name: str = parameter("a", "A choice.", choices=("a", "b"))
-    count: int = parameter(3, "A count.", minimum=1)
-    walls: Walls = field(default_factory=Walls)
-
-
-@dataclass(frozen=True)
-class Own:
-    agents: tuple[str, ...] = parameter(("x",), "Agents.")
-
-
 @pytest.fixture
 def context() -> Iterator[Any]:
     own = private_context()
     yield own
     own.shutdown()
-
-
-def make_node(context: Any, *overrides: str) -> Any:
-    arguments = ["--ros-args", *(text for value in overrides for text in ("-p", value))]
-    return rclpy.create_node(
-        "parts",
-        context=context,
-        cli_args=arguments,
-        use_global_arguments=False,
-        automatically_declare_parameters_from_overrides=True,
-    )
-
-
-def test_overrides_reach_the_configuration_in_its_own_types(context: Any) -> None:
-    node = make_node(context, "walls.thickness:=1", "name:=b", "agents:=[/r1, /r2]")
-    own, stage = parameters.declare(node, (Own(), Stage()), fixed=("agents",))
-    assert own == Own(agents=("/r1", "/r2"))
-    assert stage == Stage(name="b", walls=Walls(thickness=1.0))
-    assert node.get_parameter("walls.thickness").value == 1.0
-    described = node.describe_parameter("walls.thickness")
-    assert described.description == "Of a wall. [m]"
-    assert described.floating_point_range[0].to_value == 1.0
-    node.destroy_node()
-
-
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("walls.thickness:=2.0", "walls.thickness: expected 0.0..1.0 m, got 2.0"),
-        ("count:=many", "count: expected int, got 'many'"),
-        ("name:=c", "name: expected one of a, b, got 'c'"),
-    ],
-)
-def test_a_wrong_override_is_refused_at_the_start(
-    context: Any, override: str, message: str
-) -> None:
-    node = make_node(context, override)
-    with pytest.raises(ConfigurationError, match=message):
-        parameters.declare(node, (Stage(),), fixed=())
-    node.destroy_node()
-
-
-def test_a_wrong_change_is_refused_with_the_reason_and_a_right_one_is_handed_on(
-    context: Any,
-) -> None:
-    node = make_node(context)
-    configs = parameters.declare(node, (Own(), Stage()), fixed=("agents",))
-    changes: list[Any] = []
-    parameters.on_change(node, configs, changes.append)
-
-    def set_one(name: str, value: Any) -> Any:
-        return node.set_parameters([Parameter(name, value=value)])[0]
-
-    assert set_one("walls.thickness", 0.3).successful
-    assert changes[-1][1].walls.thickness == 0.3
-    assert "range" in set_one("walls.thickness", 7.0).reason
-    assert set_one("name", "c").reason == "name: expected one of a, b, got 'c'"
-    assert "read-only" in set_one("agents", ["y"]).reason
-    assert len(changes) == 1
-    assert node.get_parameter("walls.thickness").value == 0.3
-    node.destroy_node()
-
-
-def dumped(node: Any) -> dict[str, Any]:
-    """Return what `ros2 param dump` would write of a node."""
-    tree: dict[str, Any] = {}
-    for name in node.get_parameters_by_prefix(""):
-        value = parameter_value_to_python(node.get_parameter(name).get_parameter_value())
-        *branches, leaf = name.split(".")
-        branch = tree
-        for key in branches:
-            branch = branch.setdefault(key, {})
-        branch[leaf] = value.tolist() if isinstance(value, array.array) else value
-    return {node.get_fully_qualified_name(): {"ros__parameters": tree}}
-
-
-@pytest.mark.parametrize(
-    ("name", "own", "stage"),
-    [
-        ("merger", MergerNodeConfig(), merge_preset("default")),
-        ("extractor", ExtractorNodeConfig(), extraction_preset("default")),
-    ],
-)
-def test_a_dump_of_all_parameters_starts_the_node_again_and_so_does_the_file_that_ships(
-    context: Any, tmp_path: Path, name: str, own: Any, stage: Any
-) -> None:
-    def declared(*arguments: str) -> tuple[Any, dict[str, Any]]:
-        node = TopometricNode(
-            name,
-            context=context,
-            cli_args=["--ros-args", *arguments],
-            use_global_arguments=False,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        configs = parameters.declare(node, (own, stage), fixed=("agents",))
-        content = dumped(node)
-        if name == "merger":
-            texts = Parameter.Type.STRING_ARRAY
-            assert node.get_parameter("priors").type_ is texts
-            assert node.describe_parameter("agents").read_only
-            assert node.set_parameters([Parameter("priors", texts, ["{a: 1}"])])[0].successful
-        node.destroy_node()
-        return configs, content
-
-    configs, content = declared("-p", "max_rate:=3.0")
-    file = tmp_path / "dump.yaml"
-    file.write_text(yaml.safe_dump(content))
-    assert declared("--params-file", str(file)) == (configs, content)
-    shipped = Path(__file__).parent.parent / "config" / f"{name}.yaml"
-    assert declared("--params-file", str(shipped))[0][1] == stage
 
 
 def profile(reliable: bool, latched: bool) -> Any:

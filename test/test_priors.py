@@ -17,6 +17,7 @@ from test.helpers_matching import (
     agent_map,
 )
 from topometric_ros.alignment import AlignmentStatus
+from topometric_ros.configuration import with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.align import align
 from topometric_ros.fusion.config import MergeConfig
@@ -79,8 +80,8 @@ def test_two_fixes_in_one_outer_frame_make_a_prior_of_the_pair() -> None:
     ],
 )
 def test_a_prior_that_says_nothing_is_told_in_one_line(text: str, told: str) -> None:
-    with pytest.raises(ConfigurationError, match="priors: ") as caught:
-        parse_priors([text])
+    with pytest.raises(ConfigurationError, match="priors: prior '") as caught:
+        with_values(MergeConfig(), {"priors": [text]})
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
 

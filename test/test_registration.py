@@ -23,9 +23,11 @@ from test.helpers_matching import (
     error_of,
 )
 from topometric_ros.alignment import RoomMatch
+from topometric_ros.configuration import with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.extraction.config import extraction_preset
 from topometric_ros.extraction.pipeline import extract
+from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.consensus import ConsensusConfig, clusters, consensus, mean_pose
 from topometric_ros.fusion.poses import inverse
 from topometric_ros.fusion.registration import RegistrationConfig, RegistrationError, register
@@ -87,7 +89,7 @@ def test_a_tilt_is_found_where_it_is_to_be_estimated(method: str) -> None:
     kept = RegistrationConfig()
     held = register(surface_of(b), target, T_A_B, kept)
     assert error_of(held.T_target_source, T_true, b.centres())[1] > 1.9
-    config = RegistrationConfig(method=method, axis=("1", "0", "0"))
+    config = RegistrationConfig(method=method, axis=(1.0, 0.0, 0.0))
     result = register(surface_of(b), target, T_A_B, config)
     shift, turn = error_of(result.T_target_source, T_true, b.centres())
     assert shift < 0.03
@@ -106,12 +108,10 @@ def test_features_find_a_pose_from_nowhere() -> None:
     assert turn < 0.1
 
 
-@pytest.mark.parametrize("axis", [("0", "0", "0"), ("0", "1"), ("up", "0", "0")])
-def test_an_axis_that_is_none_is_told(axis: tuple[str, ...]) -> None:
-    surface = surface_of(maps()[0])
-    config = RegistrationConfig(method="axis_icp", axis=axis)
-    with pytest.raises(ConfigurationError, match=r"registration\.axis: expected"):
-        register(surface, surface, np.eye(4), config)
+@pytest.mark.parametrize("axis", [[0, 0, 0], [0.0, 1.0], ["up", "0", "0"], [0, 0, np.inf]])
+def test_an_axis_that_is_none_is_told(axis: list[object]) -> None:
+    with pytest.raises(ConfigurationError, match=r"consensus\.registration\.axis: expected"):
+        with_values(MergeConfig(), {"consensus.registration.axis": axis})
 
 
 @settings(max_examples=3, deadline=None)
@@ -195,11 +195,10 @@ def test_surfaces_that_do_not_meet_are_refused_with_the_number() -> None:
         register(surface_of(b), surface_of(a), far, RegistrationConfig())
 
 
-def test_gates_that_are_no_lengths_are_refused() -> None:
-    a, _ = maps()
-    surface = surface_of(a)
-    with pytest.raises(ConfigurationError, match="gates"):
-        register(surface, surface, np.eye(4), RegistrationConfig(gates=("wide",)))
+@pytest.mark.parametrize("gates", [["wide"], [], [0.4, -0.1], 0.4])
+def test_gates_that_are_no_lengths_are_refused(gates: object) -> None:
+    with pytest.raises(ConfigurationError, match=r"registration\.gates: expected a list of 1 or"):
+        with_values(MergeConfig(), {"registration.gates": gates})
 
 
 def test_an_outlier_is_dropped_before_the_mean() -> None:

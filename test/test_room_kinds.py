@@ -94,10 +94,18 @@ def test_a_classifier_is_named_in_the_configuration() -> None:
     assert kinds == {"corridor", "hall"}
 
 
-@pytest.mark.parametrize("name", ["nowhere", "nowhere:at_all", "math:pi", "math:none", ""])
+class Fragile:
+    def __init__(self) -> None:
+        raise RuntimeError("no network file")
+
+
+@pytest.mark.parametrize(
+    "name", ["nowhere", "nowhere:at_all", "math:pi", "math:none", "", f"{__name__}:Fragile"]
+)
 def test_what_is_no_classifier_is_refused_in_one_line(name: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"kinds\.classifier"):
-        load_classifier(name)
+    with pytest.raises(ConfigurationError, match=r"kinds\.classifier: expected") as caught:
+        with_values(extraction_preset("default"), {"kinds.classifier": name})
+    assert "\n" not in str(caught.value)
 
 
 def test_a_classifier_that_names_no_known_kind_is_refused() -> None:

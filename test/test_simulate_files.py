@@ -172,9 +172,12 @@ def test_a_case_leaves_nothing_of_the_one_before_it(ready, tmp_path):
         write_case(simulate(ready, configured(agents=1), 1, ONE_WALK[:1]), tmp_path, "maps")
 
 
-@pytest.mark.parametrize(("cells", "shown"), [([0.1, 0.2, 0.3], "0.3"), (["fine"], "fine")])
-def test_resolutions_are_checked_before_anything_is_scanned(ready, cells, shown):
-    with pytest.raises(ConfigurationError, match=f"up to 2 of 0.0..1.0 m.*{shown}"):
+@pytest.mark.parametrize(
+    ("cells", "told"),
+    [([0.1, 0.2, 0.3], "at most 2.*0.3"), (["fine"], "each 0.0..1.0 m, got.*fine")],
+)
+def test_resolutions_are_checked_before_anything_is_scanned(ready, cells, told):
+    with pytest.raises(ConfigurationError, match=rf"degrade\.resolutions: expected .*{told}"):
         simulate(ready, configured(degrade__resolutions=cells), 1, ONE_WALK)
 
 

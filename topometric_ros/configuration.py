@@ -7,11 +7,12 @@ files, the ROS parameters of the nodes and the rows of the reference in ``docs/`
 
 from __future__ import annotations
 
+import array
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from topometric_ros.errors import ConfigurationError
 
@@ -22,16 +23,46 @@ _SCALARS = (bool, int, float, str)
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """What is known of one parameter: its dotted name, type, default and limits."""
+    """What is known of one parameter: its dotted name, type, default and limits.
+
+    `kind` is bool, int, float, str or tuple, `item` what a tuple holds: float or str. The limits of
+    a tuple are those of its items, and it has `count` of them: least and most.
+    """
 
     name: str
     kind: type
+    item: type
     default: Any
     unit: str
     description: str
     minimum: float | None
     maximum: float | None
     choices: tuple[str, ...]
+    count: tuple[int, int | None]
+    rule: Callable[[Any], object] | None
+
+    @property
+    def constraint(self) -> str:
+        """What a value must be that no range of numbers says, in words; empty: nothing."""
+        if self.kind is not tuple:
+            return f"one of {', '.join(self.choices)}" if self.choices else ""
+        least, most = self.count
+        what = "numbers" if self.item is float else "texts"
+        if least or most:
+            what = f"{least} {what}" if least == most else f"{least} or more {what}"
+        among = f" out of {', '.join(self.choices)}" if self.choices else ""
+        limits = self.limits()
+        return f"a list of {what}{among}{limits and f', each {limits}'}"
+
+    def limits(self) -> str:
+        """Return the range in words with its unit; empty: there is none."""
+        if self.minimum is None and self.maximum is None:
+            return ""
+        if self.maximum is None:
+            return f"at least {self.minimum} {self.unit}".rstrip()
+        if self.minimum is None:
+            return f"at most {self.maximum} {self.unit}".rstrip()
+        return f"{self.minimum}..{self.maximum} {self.unit}".rstrip()
 
     def check(self, value: Any) -> Any:
         """Return `value` in the parameter's own type.
@@ -39,27 +70,52 @@ class ParameterInfo:
         Raises
         ------
         ConfigurationError
-            Wrong type, not finite, outside the range or not one of the choices.
+            Wrong type, not finite, outside the range, not one of the choices, or against the
+            parameter's own rule.
         """
+        value = self._items(value) if self.kind is tuple else self._scalar(value)
+        if self.rule is not None:
+            try:
+                self.rule(value)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{self.name}: {error}") from error
+        return value
+
+    def _items(self, value: Any) -> tuple[Any, ...]:
+        """Return a list's items in their type; numbers may come as texts."""
+        value = value.tolist() if isinstance(value, array.array) else value
+        wrong = f"{self.name}: expected {self.constraint}, got {value!r}"
+        if not isinstance(value, (list, tuple)):
+            raise ConfigurationError(wrong)
+        try:
+            items = tuple(self.item(item) for item in value)
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(wrong) from error
+        least, most = self.count
+        fits = least <= len(items) and (most is None or len(items) <= most)
+        if not fits or not all(map(self._is_allowed, items)):
+            raise ConfigurationError(wrong)
+        return items
+
+    def _is_allowed(self, value: Any) -> bool:
+        """Whether a number or a text is within the limits."""
+        if self.choices:
+            return value in self.choices
+        if self.item is float and not math.isfinite(value):
+            return False
+        below = self.minimum is not None and value < self.minimum
+        return not below and (self.maximum is None or value <= self.maximum)
+
+    def _scalar(self, value: Any) -> Any:
         if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if self.kind is tuple and isinstance(value, (list, tuple)):
-            return tuple(str(item) for item in value)
         if type(value) is not self.kind:
             raise ConfigurationError(f"{self.name}: expected {self.kind.__name__}, got {value!r}")
         if self.kind is float and not math.isfinite(value):  # type: ignore[arg-type]
             raise ConfigurationError(f"{self.name}: expected a finite number, got {value!r}")
-        below = self.minimum is not None and value < self.minimum  # type: ignore[operator]
-        above = self.maximum is not None and value > self.maximum  # type: ignore[operator]
-        if below or above:
-            raise ConfigurationError(
-                f"{self.name}: expected {self.minimum}..{self.maximum} {self.unit}".rstrip()
-                + f", got {value!r}"
-            )
-        if self.choices and value not in self.choices:
-            raise ConfigurationError(
-                f"{self.name}: expected one of {', '.join(self.choices)}, got {value!r}"
-            )
+        if not self._is_allowed(value):
+            expected = self.constraint or self.limits()
+            raise ConfigurationError(f"{self.name}: expected {expected}, got {value!r}")
         return value
 
 
@@ -71,8 +127,15 @@ def parameter(
     minimum: float | None = None,
     maximum: float | None = None,
     choices: tuple[str, ...] = (),
+    count: tuple[int, int | None] = (0, None),
+    rule: Callable[[Any], object] | None = None,
 ) -> Any:
-    """Declare a dataclass field with its unit, range and one-sentence description."""
+    """Declare a dataclass field with its unit, range and one-sentence description.
+
+    `rule` raises ConfigurationError, without the parameter's name, for a value of the right type
+    that makes no sense. Of a tuple, range and choices are those of its items, and `count` says how
+    many there are, least and most.
+    """
     return dataclasses.field(
         default=default,
         metadata={
@@ -81,6 +144,8 @@ def parameter(
             "minimum": minimum,
             "maximum": maximum,
             "choices": choices,
+            "count": count,
+            "rule": rule,
         },
     )
 
@@ -98,25 +163,25 @@ def parameters(config: Any, prefix: str = "") -> Iterator[tuple[ParameterInfo, A
             yield from parameters(value, f"{name}.")
             continue
         kind = next((k for k in _SCALARS if kinds[field.name] is k), tuple)
-        meta = field.metadata
-        yield (
-            ParameterInfo(
-                name=name,
-                kind=kind,
-                default=value,
-                unit=meta["unit"],
-                description=meta["description"],
-                minimum=meta["minimum"],
-                maximum=meta["maximum"],
-                choices=meta["choices"],
-            ),
-            value,
-        )
+        item = get_args(kinds[field.name])[0] if kind is tuple else kind
+        yield ParameterInfo(name=name, kind=kind, item=item, default=value, **field.metadata), value
 
 
 def flatten(config: Any) -> dict[str, Any]:
     """Return ``{dotted name: value}`` of a configuration."""
     return {info.name: value for info, value in parameters(config)}
+
+
+def validate(config: Any) -> None:
+    """Check every value of a configuration that was not made by :func:`with_values`.
+
+    Raises
+    ------
+    ConfigurationError
+        As :func:`with_values`.
+    """
+    for info, value in parameters(config):
+        info.check(value)
 
 
 def with_values(config: ConfigT, values: Mapping[str, Any]) -> ConfigT:

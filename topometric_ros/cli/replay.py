@@ -67,7 +67,11 @@ def replay(options: argparse.Namespace) -> int:
 
 
 def _seconds(text: str) -> float:
-    seconds = float(text)
+    """Return a time; raises ArgumentTypeError for what is none, or below 0."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
     if not 0 <= seconds < 1e9:
-        raise ValueError(text)
+        raise argparse.ArgumentTypeError(f"expected a number of seconds from 0 on, got {text!r}")
     return seconds

@@ -39,17 +39,6 @@ wider one is at most this many times as wide."""
 
 
 @dataclass(frozen=True)
-class RoomKindsConfig:
-    """Who tells the kinds of rooms."""
-
-    classifier: str = parameter(
-        "geometric",
-        "What tells rooms from corridors, halls and stairwells: geometric, or MODULE:NAME of an "
-        "own RoomClassifier, an object or a class without arguments.",
-    )
-
-
-@dataclass(frozen=True)
 class RoomView:
     """What a classifier is shown of a room; lengths in m.
 
@@ -124,15 +113,29 @@ def load_classifier(name: str) -> RoomClassifier:
     module, _, attribute = name.partition(":")
     try:
         found = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+        classifier = found() if isinstance(found, type) else found
+    except Exception as error:  # Whatever somebody else's module may raise.
         raise ConfigurationError(
-            f"kinds.classifier: expected geometric or MODULE:NAME, got {name!r} ({error})"
+            f"expected geometric or MODULE:NAME of a room classifier, got {name!r} ({error})"
         ) from error
-    classifier = found() if isinstance(found, type) else found
     for method in ("kind", "same_corridor"):
         if not callable(getattr(classifier, method, None)):
-            raise ConfigurationError(f"kinds.classifier: {name!r} has no method {method}")
+            raise ConfigurationError(
+                f"expected a room classifier, got {name!r}, which has no method {method}"
+            )
     return classifier  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class RoomKindsConfig:
+    """Who tells the kinds of rooms."""
+
+    classifier: str = parameter(
+        "geometric",
+        "What tells rooms from corridors, halls and stairwells: geometric, or MODULE:NAME of an "
+        "own RoomClassifier, an object or a class without arguments.",
+        rule=load_classifier,
+    )
 
 
 def told(classifier: RoomClassifier, room: RoomView) -> tuple[str, float]:

@@ -13,10 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
-from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, with_prior
 from topometric_ros.fusion.candidates import find_candidates
-from topometric_ros.fusion.config import SOURCES, MergeConfig
+from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose
 from topometric_ros.fusion.furniture import stands_as_before
 from topometric_ros.fusion.gates import may_be_a_twin, missed_gate, objection, why_a_twin
@@ -62,17 +61,13 @@ def align(
     Raises
     ------
     ConfigurationError
-        `sources` names none of rooms and search, or something else.
+        A prior makes no sense.
     """
     watch = stopwatch or Stopwatch()
     a, b = (
         m if isinstance(m, Prepared) else Prepared(m, config.search.scoring, config.matching)
         for m in (a, b)
     )
-    if not config.sources or not set(config.sources) <= set(SOURCES):
-        raise ConfigurationError(
-            f"sources: expected some of {', '.join(SOURCES)}, got {config.sources}"
-        )
     if not (len(a.map.voxels) and len(b.map.voxels)):
         empty = a if len(a.map.voxels) == 0 else b
         return _refused(a, b, AlignmentStatus.NONE, f"the map of {empty.map.agent!r} is empty")

@@ -19,7 +19,7 @@ from topometric_ros.stopwatch import Stopwatch
 
 logger = logging.getLogger(__name__)
 
-ROUGH = RegistrationConfig(gates=("1.2", "0.6", "0.3"), points=800, steps=6)
+ROUGH = RegistrationConfig(gates=(1.2, 0.6, 0.3), points=800, steps=6)
 """Brings a pose read from rooms' centroids, a metre off at times, to where refining can start."""
 
 SAME_POSE = 0.2

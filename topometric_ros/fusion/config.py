@@ -10,6 +10,7 @@ from topometric_ros.fusion.consensus import ConsensusConfig
 from topometric_ros.fusion.fuse import FuseConfig
 from topometric_ros.fusion.gates import VerificationConfig
 from topometric_ros.fusion.groups import GroupsConfig
+from topometric_ros.fusion.priors import parse_priors
 from topometric_ros.fusion.registration import RegistrationConfig
 from topometric_ros.matching.config import MatchingConfig, matching_preset
 from topometric_ros.matching.search import SearchConfig
@@ -23,7 +24,10 @@ class MergeConfig:
     """From topometric maps to one global map."""
 
     sources: tuple[str, ...] = parameter(
-        SOURCES, "Where candidate poses come from: rooms (matched rooms), search (storey rasters)."
+        SOURCES,
+        "Where candidate poses come from: rooms (matched rooms), search (storey rasters).",
+        choices=SOURCES,
+        count=(1, None),
     )
     check: str = parameter(
         "rivals",
@@ -65,6 +69,7 @@ class MergeConfig:
         "What is known beforehand of how agents lie to each other, a line of YAML each, as "
         "'{between: [a, b], position: [12, 3, 0], yaw: 90, sigma: 1.5, yaw_sigma: 15}' "
         "(m, degrees).",
+        rule=parse_priors,
     )
     global_frame: str = parameter("global", "Name of the global map's frame.")
     matching: MatchingConfig = field(default_factory=MatchingConfig)

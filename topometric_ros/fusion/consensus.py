@@ -34,7 +34,7 @@ class ConsensusConfig:
 
     registration: RegistrationConfig = field(
         default_factory=lambda: RegistrationConfig(
-            gates=("1.0", "0.6", "0.4", "0.25"), points=2000, steps=15
+            gates=(1.0, 0.6, 0.4, 0.25), points=2000, steps=15
         )
     )
     smallest_inliers: float = parameter(

@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.poses import Transform, apply, turned
 from topometric_ros.fusion.registration_config import (
     Registration,
     RegistrationConfig,
     RegistrationError,
-    numbers,
 )
 from topometric_ros.fusion.surface import Surface
 
@@ -73,23 +71,14 @@ def axis_icp(
     config: RegistrationConfig,
     tree: cKDTree | None = None,
 ) -> Registration:
-    """Refine the turn about `config.axis` and the translation; a :class:`Registrar`.
-
-    Raises
-    ------
-    ConfigurationError
-        The axis is not three numbers of some length.
-    """
-    axis = np.array([numbers(config.axis, "axis", 3)])
-    length = float(np.linalg.norm(axis))
-    if length < 1e-9:
-        raise ConfigurationError(f"registration.axis: expected some direction, got {config.axis}")
-    return _icp(source, target, T_init, config, tree, axis / length)
+    """Refine the turn about `config.axis` and the translation; a :class:`Registrar`."""
+    axis = np.array([config.axis])
+    return _icp(source, target, T_init, config, tree, axis / np.linalg.norm(axis))
 
 
 def gates_of(config: RegistrationConfig, spacing: float) -> list[float]:
     """Return the gates in metres, none below what the spacing of the points supports."""
-    return [max(gate, spacing / 2) for gate in numbers(config.gates, "gates")]
+    return [max(gate, spacing / 2) for gate in config.gates]
 
 
 def shared_part(

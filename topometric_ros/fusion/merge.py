@@ -18,6 +18,7 @@ from topometric_ros.alignment import (
     Placed,
     RoomMatch,
 )
+from topometric_ros.configuration import validate
 from topometric_ros.errors import TopometricError
 from topometric_ros.fusion.align import align
 from topometric_ros.fusion.changes import told
@@ -65,10 +66,10 @@ def merge(
     MergeError
         No map, more than 32, or two of one agent.
     ConfigurationError
-        A parameter makes no sense, a prior for one.
+        A value that is wrong or makes no sense.
     """
     _check(maps)
-    parse_priors(config.priors)
+    validate(config)
     watch = Stopwatch()
     prepared = [Prepared(m, config.search.scoring, config.matching) for m in maps]
     given = dict(known or {})

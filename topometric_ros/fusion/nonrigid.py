@@ -33,7 +33,7 @@ Placed = tuple[TopometricMap, Transform]
 
 
 def _registration() -> RegistrationConfig:
-    return RegistrationConfig(gates=("0.5", "0.3", "0.15", "0.08"), points=2000)
+    return RegistrationConfig(gates=(0.5, 0.3, 0.15, 0.08), points=2000)
 
 
 @dataclass(frozen=True)

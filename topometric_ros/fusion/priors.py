@@ -145,7 +145,7 @@ def _carried(
 
 
 def _parsed(text: str) -> Prior:
-    where = f"priors: {text!r}"
+    where = f"prior {text!r}"
     try:
         tree = yaml.safe_load(text)
     except yaml.YAMLError as error:

@@ -26,6 +26,11 @@ class RegistrationError(TopometricError):
     """Two surfaces that share too little to be registered."""
 
 
+def _some_direction(axis: tuple[float, ...]) -> None:
+    if np.linalg.norm(axis) < 1e-9:
+        raise ConfigurationError(f"expected some direction, got {list(axis)}")
+
+
 @dataclass(frozen=True)
 class RegistrationConfig:
     """How surfaces are registered and how sure the result is held to be."""
@@ -38,13 +43,20 @@ class RegistrationConfig:
         "deep_closest_point: counterparts from a network (extra `learned`), then gravity_icp.",
         choices=METHODS,
     )
-    axis: tuple[str, ...] = parameter(
-        ("0", "0", "1"), "Axis of the level frame that axis_icp turns about: x, y, z."
+    axis: tuple[float, ...] = parameter(
+        (0.0, 0.0, 1.0),
+        "Axis of the level frame that axis_icp turns about: x, y, z.",
+        count=(3, 3),
+        rule=_some_direction,
     )
-    gates: tuple[str, ...] = parameter(
-        ("0.4", "0.25", "0.15", "0.08"),
-        "Largest distances (m) of a pair from its plane, one round each; none is taken below "
-        "half a voxel.",
+    gates: tuple[float, ...] = parameter(
+        (0.4, 0.25, 0.15, 0.08),
+        "Largest distances of a pair of points from its plane, one round of ICP each; none is "
+        "taken below half a voxel.",
+        unit="m",
+        minimum=0.001,
+        maximum=100.0,
+        count=(1, None),
     )
     steps: int = parameter(10, "Largest number of steps in a round.", minimum=1, maximum=100)
     points: int = parameter(
@@ -112,22 +124,3 @@ class Registrar(Protocol):
         tree: cKDTree | None = None,
     ) -> Registration:
         """Return T_target_source; `tree` is that of the target's points, if there is one."""
-
-
-def numbers(values: tuple[str, ...], name: str, count: int | None = None) -> list[float]:
-    """Return a parameter's texts as finite numbers, `count` of them where that is told.
-
-    Raises
-    ------
-    ConfigurationError
-        They are not numbers, or not that many.
-    """
-    try:
-        result = [float(value) for value in values]
-    except ValueError as error:
-        raise ConfigurationError(f"registration.{name}: expected numbers, got {values}") from error
-    if not np.isfinite(result).all() or count not in (None, len(result)):
-        raise ConfigurationError(
-            f"registration.{name}: expected {count or 'finite'} numbers, got {values}"
-        )
-    return result

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from topometric_ros.configuration import parameter
 from topometric_ros.errors import ConfigurationError
 
+DESCRIPTORS = ("engineered", "spectral", "shape", "topological", "learned")
+"""Names of the descriptors that there are; see :mod:`topometric_ros.matching.descriptors`."""
+
 
 @dataclass(frozen=True)
 class DescriptorConfig:
@@ -14,8 +17,9 @@ class DescriptorConfig:
 
     names: tuple[str, ...] = parameter(
         ("shape",),
-        "Descriptors to compute and to compare: engineered, spectral, shape, topological; learned, "
-        "with the extra `learned`.",
+        "Descriptors of a room to compute and to compare; learned takes the extra `learned`.",
+        choices=DESCRIPTORS,
+        count=(1, None),
     )
     box: str = parameter(
         "oriented",

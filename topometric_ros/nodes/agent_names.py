@@ -27,8 +27,8 @@ def parse_agents(entries: Sequence[str]) -> dict[str, str]:
         namespace = (after if separator else before).rstrip("/")
         agent = before if separator else agent_of_namespace(namespace)
         if not agent:
-            raise ConfigurationError(f"agents: expected a namespace or id=namespace, got {entry!r}")
+            raise ConfigurationError(f"expected a namespace or id=namespace, got {entry!r}")
         if agent in agents or namespace in agents.values():
-            raise ConfigurationError(f"agents: {entry!r} names an agent twice")
+            raise ConfigurationError(f"{entry!r} names an agent twice")
         agents[agent] = namespace
     return agents

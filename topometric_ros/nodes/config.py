@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.config import PRESETS
 from topometric_ros.matching.config import DescriptorConfig
+from topometric_ros.nodes.agent_names import parse_agents
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ class MergerNodeConfig:
         (),
         "Namespaces of the agents, in order; the first that has a map anchors the global frame. "
         "Empty: the agents that are found.",
+        rule=parse_agents,
     )
     discover: bool = parameter(
         False,

@@ -74,12 +74,13 @@ def declare(node: Node, configs: Sequence[Any], fixed: Collection[str]) -> Confi
 
 
 def _declare(node: Node, info: ParameterInfo, value: Any, read_only: bool) -> None:
-    """Declare one parameter with its value; an empty list is one of texts, not of bytes."""
+    """Declare one parameter with its value; an empty list is not taken for one of bytes."""
     if value != ():
         value = list(value) if isinstance(value, tuple) else value
         node.declare_parameter(info.name, value, _descriptor(info, read_only), True)
         return
-    kind = Parameter.Type.STRING_ARRAY
+    numbers = info.item is float
+    kind = Parameter.Type.DOUBLE_ARRAY if numbers else Parameter.Type.STRING_ARRAY
     node.declare_parameter(info.name, kind, _descriptor(info, False), True)
     node.set_parameters([Parameter(info.name, kind, [])])
     descriptor = _descriptor(info, read_only)
@@ -128,8 +129,7 @@ def _warn_of_unknown(node: Node, known: set[str]) -> None:
 def _descriptor(info: ParameterInfo, read_only: bool) -> ParameterDescriptor:
     unit = f" [{info.unit}]" if info.unit else ""
     descriptor = ParameterDescriptor(description=info.description + unit, read_only=read_only)
-    if info.choices:
-        descriptor.additional_constraints = f"one of {', '.join(info.choices)}"
+    descriptor.additional_constraints = info.constraint
     if info.minimum is None and info.maximum is None:
         return descriptor
     if info.kind is int:

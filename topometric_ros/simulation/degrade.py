@@ -62,8 +62,12 @@ class DegradeConfig:
         minimum=0.0,
         maximum=1.0,
     )
-    resolutions: tuple[str, ...] = parameter(
-        (), "The same for each agent, in their order; those not named have `resolution`.", unit="m"
+    resolutions: tuple[float, ...] = parameter(
+        (),
+        "Edge of those cells for each agent, in their order; those not named have `resolution`.",
+        unit="m",
+        minimum=0.0,
+        maximum=1.0,
     )
     frame_offset: float = parameter(
         30.0,
@@ -156,18 +160,14 @@ def resolutions_of(config: DegradeConfig, agents: int) -> list[float]:
     Raises
     ------
     ConfigurationError
-        One of `resolutions` is no such length, or there are more than agents.
+        There are more `resolutions` than agents.
     """
-    try:
-        cells = [float(cell) for cell in config.resolutions]
-    except ValueError:
-        cells = [np.nan]
-    if len(cells) > agents or not all(0.0 <= cell <= 1.0 for cell in cells):
+    cells = config.resolutions
+    if len(cells) > agents:
         raise ConfigurationError(
-            f"degrade.resolutions: expected up to {agents} of 0.0..1.0 m, one an agent, "
-            f"got {', '.join(config.resolutions)}"
+            f"degrade.resolutions: expected at most {agents}, one an agent, got {list(cells)}"
         )
-    return cells + [config.resolution] * (agents - len(cells))
+    return [*cells, *[config.resolution] * (agents - len(cells))]
 
 
 def sees_ceiling(config: DegradeConfig, agent: int) -> bool:

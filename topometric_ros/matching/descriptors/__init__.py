@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-from topometric_ros.errors import ConfigurationError
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.matching.descriptors.base import Descriptor
 from topometric_ros.matching.descriptors.engineered import EngineeredDescriptor
@@ -32,13 +31,7 @@ __all__ = [
 
 
 def descriptors_of(config: MatchingConfig) -> tuple[Descriptor, ...]:
-    """Return the descriptors that a configuration names, in its order.
-
-    Raises
-    ------
-    ConfigurationError
-        A name that no descriptor has, or none at all.
-    """
+    """Return the descriptors that a configuration names, in its order."""
     c = config.descriptors
     known: dict[str, Descriptor] = {
         "engineered": EngineeredDescriptor(c.box, c.roughness_neighbours),
@@ -49,9 +42,6 @@ def descriptors_of(config: MatchingConfig) -> tuple[Descriptor, ...]:
         "learned": LearnedDescriptor(),
         "topological": TopologicalDescriptor(),
     }
-    unknown = [name for name in c.names if name not in known]
-    if unknown or not c.names:
-        raise ConfigurationError(f"descriptors.names: expected {', '.join(known)}, got {c.names}")
     return tuple(known[name] for name in c.names)
 
 
