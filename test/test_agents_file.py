@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from topometric_ros.nodes.agent_names import parse_agents as parse_listed
 from topometric_ros.runtime.agents_file import (
     AgentsFileError,
     extractor_arguments,
@@ -110,6 +111,26 @@ def test_an_id_that_is_not_its_namespace_is_told_to_the_merger() -> None:
 def test_a_wrong_file_is_refused_with_the_wrong_value(tree: object, message: str) -> None:
     with pytest.raises(AgentsFileError, match=message):
         parse_agents(tree)
+
+
+def test_a_map_of_another_day_is_an_agent_without_an_extractor(tmp_path: Path) -> None:
+    (tmp_path / "monday.tmap").write_bytes(b"")
+    path = tmp_path / "agents.yaml"
+    path.write_text("agents: [{id: old, map: monday.tmap}, {id: robot1}]")
+    fleet = read_agents_file(path)
+    names = [process.name for process in fleet_processes(fleet, FleetOptions())]
+    assert names == ["extractor of robot1", "merger"]
+    (listed,) = (text for text in merger_arguments(fleet) if text.startswith("agents:="))
+    agents = parse_listed(yaml.safe_load(listed.removeprefix("agents:=")))
+    assert agents == {"old": str(tmp_path / "monday.tmap"), "robot1": "/robot1"}
+    for entry, message in (
+        ("{id: a, map: tuesday.tmap}", "map: no file"),
+        ("{id: a, map: cloud.ply}", "expected a .tmap file, got 'cloud.ply'"),
+        ("{id: a, map: monday.tmap, mode: scan}", "an agent that is a `map` has no `mode`"),
+    ):
+        path.write_text(f"agents: [{entry}]")
+        with pytest.raises(AgentsFileError, match=message):
+            read_agents_file(path)
 
 
 def test_an_unreadable_file_is_one_line(tmp_path: Path) -> None:

@@ -1,15 +1,21 @@
-"""The merger's parameter `agents`: namespaces, or ``id=namespace`` where the two differ."""
+"""The merger's parameter `agents`: namespaces, ``id=namespace`` where the two differ, map files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import PurePath
 
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.runtime.agents_file import agent_of_namespace
 
 
+def is_map_file(place: str) -> bool:
+    """Whether an agent's maps come from a file: no namespace has a dot in it."""
+    return place.endswith(".tmap")
+
+
 def parse_agents(entries: Sequence[str]) -> dict[str, str]:
-    """Return ``{agent: namespace}`` in order.
+    """Return ``{agent: namespace}`` in order; for an agent that is a file, its path.
 
     Raises
     ------
@@ -20,12 +26,15 @@ def parse_agents(entries: Sequence[str]) -> dict[str, str]:
     --------
     >>> parse_agents(["/robot1", "left=/fleet/robot2"])
     {'robot1': '/robot1', 'left': '/fleet/robot2'}
+    >>> parse_agents(["/maps/monday.tmap", "old=/maps/b.tmap"])
+    {'monday': '/maps/monday.tmap', 'old': '/maps/b.tmap'}
     """
     agents: dict[str, str] = {}
     for entry in entries:
         before, separator, after = entry.partition("=")
         namespace = (after if separator else before).rstrip("/")
-        agent = before if separator else agent_of_namespace(namespace)
+        name = PurePath(before).stem if is_map_file(before) else agent_of_namespace(namespace)
+        agent = before if separator else name
         if not agent:
             raise ConfigurationError(f"expected a namespace or id=namespace, got {entry!r}")
         if agent in agents or namespace in agents.values():

@@ -89,7 +89,8 @@ class MergerNodeConfig:
     agents: tuple[str, ...] = parameter(
         (),
         "Namespaces of the agents, in order; the first that has a map anchors the global frame. "
-        "Empty: the agents that are found.",
+        "`id=namespace` where the two differ, `id=file.tmap` for a map of another day. Empty: the "
+        "agents that are found.",
         rule=parse_agents,
     )
     discover: bool = parameter(

@@ -21,6 +21,7 @@ from topometric_ros.nodes import parameters, qos
 from topometric_ros.nodes.agent_names import parse_agents
 from topometric_ros.nodes.config import MergerNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
+from topometric_ros.nodes.merger_maps import read_files, recall
 from topometric_ros.nodes.merger_output import MergerOutput, Shown
 from topometric_ros.nodes.merger_places import Places
 from topometric_ros.nodes.merger_report import MergerReport
@@ -90,9 +91,10 @@ class Merger(TopometricNode):
         self._others: Inbox[AlignmentArray] = Inbox(1)
         self._keeper = StateKeeper(self._own.state_file, self.get_logger())
         self._keeper.restore(self.session)
+        now = self.get_clock().now().nanoseconds
+        recall(self.session, self.roster, now)
+        read_files(self.session, self.roster, now, self.get_logger())
         self.fresh = bool(self.session.maps)
-        for topic in self.session.sources.values():
-            self.roster.recall(topic)
         self._out = MergerOutput(self, self._classes)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
         self._places = Places(self)
@@ -178,7 +180,7 @@ class Merger(TopometricNode):
 
     def _take_map(self, agent: str, message: MapMessage) -> None:
         """Give a map to the session, or refuse it with one line in the log."""
-        entry = self.roster.reports[agent]
+        entry = self.roster.seen(agent)
         entry.received += 1
         try:
             received = map_from_message(message, self._own.max_voxels)
@@ -192,6 +194,7 @@ class Merger(TopometricNode):
         entry.refusal = ""
         if is_new:
             entry.newest, entry.arrived = m, self.get_clock().now().nanoseconds
+            entry.file = ""
             self.fresh = True
 
     def _take_alignments(self, message: AlignmentArray) -> None:
@@ -208,9 +211,7 @@ class Merger(TopometricNode):
             raise SessionError(f"a global map, of {', '.join(received.observers)}")
         if m.agent == agent:
             return
-        entries = self.roster.reports.items()
-        heard = {entry.newest.agent for name, entry in entries if name != agent and entry.newest}
-        if m.agent in heard or m.agent in self.roster.listed:
+        if m.agent in self.roster.heard(agent) or m.agent in self.roster.listed:
             raise SessionError(f"a map of agent {m.agent!r}, whose maps come on another topic")
 
     def _align(self, limit: int | None) -> None:
@@ -282,7 +283,9 @@ class Merger(TopometricNode):
         """Forget all maps and alignments; the caller holds `working`."""
         self.roster.clear()
         self.session.reset()
-        self.fresh = False
+        now = self.get_clock().now().nanoseconds
+        read_files(self.session, self.roster, now, self.get_logger())
+        self.fresh = bool(self.session.maps)
         self.report = MergerReport(self.roster.reports)
         self._told, self._fused = None, Shown()
         self._said.clear()
@@ -320,6 +323,7 @@ class Merger(TopometricNode):
         for agent in self._overdue():
             self.get_logger().warning(f"{agent}: gone for {self._own.forget_after:g} s, forgotten")
             self.session.forget(agent)
+            self.roster.report_of(agent, agent).newest = None
             self.fresh = bool(self.session.maps)
         stale = tuple(sorted(a for a in self.report.gone if a in self.session.maps))
         for agent in sorted({*stale} ^ {*self._stale}):

@@ -39,6 +39,8 @@ class InputReport:
     newest: TopometricMap | None = None
     arrived: int = 0
     """When `newest` arrived, ns."""
+    file: str = ""
+    """The file that `newest` was read from; nobody need publish such a map."""
 
     def refuse(self, reason: str) -> bool:
         """Count a message that cannot be used; return whether the reason is a new one."""
@@ -111,6 +113,8 @@ def _agent(
             "rooms": len(m.rooms),
             "voxels": len(m.voxels),
         }
+    if entry.file:
+        values["file"] = entry.file
     if entry.refusal:
         return Status(name, Level.ERROR, f"last map refused: {entry.refusal}", values)
     if m is None:

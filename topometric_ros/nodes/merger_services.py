@@ -95,6 +95,7 @@ class _MergerServices:
                 return response
             entry = roster.report_of(m.agent, request.path)
             entry.newest, entry.arrived = m, self._node.get_clock().now().nanoseconds
+            entry.file = request.path
         response.code, response.agent = response.SUCCESS, m.agent
         response.message = f"map {m.sequence} of {m.agent}: {len(m.rooms)} rooms"
         return response

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from topometric_msgs.msg import TopometricMap as MapMessage
 
 from topometric_ros.nodes import qos
+from topometric_ros.nodes.agent_names import is_map_file
 from topometric_ros.nodes.merger_report import InputReport
 from topometric_ros.nodes.running import TopometricNode
 from topometric_ros.nodes.worker import Inbox
@@ -33,22 +34,41 @@ class Roster:
         self.reports: dict[str, InputReport] = {}
         self._node = node
         self._last_seen: dict[str, float] = {}
+        for agent, place in self.listed.items():
+            if is_map_file(place):
+                self.reports[agent] = InputReport(place)
+            else:
+                self._add(agent, node.resolve_topic_name(f"{place}/{TOPIC}"))
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The listed agents whose maps are files, and these."""
+        return {agent: place for agent, place in self.listed.items() if is_map_file(place)}
 
     def listen(self) -> None:
         """Subscribe the maps of all agents known so far."""
-        for agent, namespace in self.listed.items():
-            self._add(agent, self._node.resolve_topic_name(f"{namespace}/{TOPIC}"))
         for agent in self.inboxes:
             self._last_seen[agent] = time.monotonic()
             self._subscribe(agent, self.reports[agent].topic)
         self.look()
 
-    def recall(self, topic: str) -> None:
-        """Take an agent on the list again that was found before a restart."""
-        namespace, _, last = topic.rpartition("/")
-        known = {report.topic for report in self.reports.values()}
-        if self.discover and last == TOPIC and topic.startswith("/") and topic not in known:
-            self._add(agent_of_namespace(namespace) or "agent", topic)
+    def recall(self, agent: str, source: str) -> InputReport:
+        """Return the report of an agent that was known before a restart, a new one if need be.
+
+        Who was found is listened to again; who is not listed any more is not, and counts as gone.
+        """
+        for report in self.reports.values():
+            if report.topic == source:
+                return report
+        namespace, _, last = source.rpartition("/")
+        if last != TOPIC or not source.startswith("/"):
+            return self.report_of(agent, source)
+        if self.discover:
+            name = agent_of_namespace(namespace) or "agent"
+            self._add(name, source)
+            return self.reports[name]
+        self._last_seen[agent] = time.monotonic()
+        return self.reports.setdefault(agent, InputReport(source))
 
     def look(self) -> None:
         """Find new agents where that is wanted, and note whose extractors are there."""
@@ -59,19 +79,31 @@ class Roster:
             if self._node.count_publishers(report.topic):
                 self._last_seen[agent] = time.monotonic()
 
+    def seen(self, name: str) -> InputReport:
+        """Note that an agent has sent something; return its report."""
+        self._last_seen[name] = time.monotonic()
+        return self.reports[name]
+
     def gone(self, longer_than: float) -> dict[str, float]:
         """Return how long (s) agents have been gone of whom nothing was seen for that long.
 
-        The agents are named as their maps name them.
+        The agents are named as their maps name them. Whose map came from a file is never gone.
         """
         now = time.monotonic()
-        absent = {self.id_of(name): now - seen for name, seen in self._last_seen.items()}
+        live = {n: seen for n, seen in self._last_seen.items() if not self.reports[n].file}
+        absent = {self.id_of(name): now - seen for name, seen in live.items()}
         return {agent: age for agent, age in absent.items() if age > longer_than}
 
     def id_of(self, name: str) -> str:
         """Return how an agent's maps name it; the name it is listed by before the first map."""
         newest = self.reports[name].newest
         return newest.agent if newest else name
+
+    def heard(self, apart_from: str) -> set[str]:
+        """Return the agents whose maps came on the topic of another name, or from a file."""
+        others = (name for name in self.reports if name != apart_from)
+        entries = [self.reports[n] for n in others if n in self.inboxes or self.reports[n].file]
+        return {entry.newest.agent for entry in entries if entry.newest}
 
     def admits(self, agent: str) -> bool:
         """Whether maps of this agent may be taken from elsewhere, as from a file."""
@@ -98,7 +130,7 @@ class Roster:
             if last != TOPIC or _TYPE not in types or topic in topics:
                 continue
             agent = agent_of_namespace(namespace) or "agent"
-            if agent in self.reports or len(self.reports) >= _MOST:
+            if agent in self.inboxes or agent in self.listed or len(self.reports) >= _MOST:
                 continue
             self._node.get_logger().info(f"found {agent}: {topic}")
             self._add(agent, topic)
@@ -106,7 +138,8 @@ class Roster:
 
     def _add(self, agent: str, topic: str) -> None:
         self.inboxes.setdefault(agent, Inbox(1))
-        self.reports.setdefault(agent, InputReport(topic))
+        # One whose map came from a file may come alive.
+        self.reports.setdefault(agent, InputReport(topic)).topic = topic
         self._last_seen.setdefault(agent, time.monotonic())
 
     def _subscribe(self, agent: str, topic: str) -> None:

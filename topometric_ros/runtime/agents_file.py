@@ -6,6 +6,8 @@
         cloud: cloud_map         # topic that `cloud` is remapped to; relative to the namespace
         mode: auto               # auto, map or scan
         params: {}               # parameters of this extractor, nested or dotted
+      - id: monday
+        map: monday.tmap         # instead of all that: a map of another day, beside this file
     extractor:
       params: {}                 # parameters of every extractor
     merger:
@@ -37,7 +39,8 @@ _ID = re.compile(rf"^{_TOKEN}$")
 _NAMESPACE = re.compile(rf"^(/{_TOKEN})*/?$")
 _TOPIC = re.compile(rf"^/?{_TOKEN}(/{_TOKEN})*$")
 
-_AGENT_KEYS = ("id", "namespace", "cloud", "mode", "params")
+_LIVE_KEYS = ("namespace", "cloud", "mode", "params")
+_AGENT_KEYS = ("id", *_LIVE_KEYS, "map")
 _SHARED = ("global_frame",)
 """Parameters of the merger that its extractors must know."""
 
@@ -50,13 +53,17 @@ class AgentsFileError(TopometricError):
 
 @dataclass(frozen=True)
 class AgentEntry:
-    """One agent: its extractor's namespace, input topic, mode and own parameters (dotted)."""
+    """One agent: its extractor's namespace, input topic, mode and own parameters (dotted).
+
+    With `map`, the path of a .tmap file, it is a map of another day and has no extractor.
+    """
 
     id: str
     namespace: str
     cloud: str = "cloud"
     mode: str = "auto"
     params: Mapping[str, Any] = field(default_factory=dict)
+    map: str = ""
 
     @property
     def map_topic(self) -> str:
@@ -77,6 +84,11 @@ class AgentsFile:
     merger_params: Mapping[str, Any] = field(default_factory=dict)
     simulation: Mapping[str, Any] | None = None
 
+    @property
+    def live(self) -> tuple[AgentEntry, ...]:
+        """The agents that have an extractor."""
+        return tuple(agent for agent in self.agents if not agent.map)
+
 
 def read_agents_file(path: Path | str) -> AgentsFile:
     """Read and check an agents file.
@@ -96,13 +108,15 @@ def read_agents_file(path: Path | str) -> AgentsFile:
         line = " ".join(str(error).split())
         raise AgentsFileError(f"agents file {path} is not YAML: {line}") from error
     try:
-        return parse_agents(tree, str(path))
+        return parse_agents(tree, str(path), Path(path).parent)
     except RecursionError as error:
         raise AgentsFileError(f"{path}: an alias in it refers to what holds it") from error
 
 
-def parse_agents(tree: Any, where: str = "agents file") -> AgentsFile:
+def parse_agents(tree: Any, where: str = "agents file", folder: Path = Path()) -> AgentsFile:
     """Check the content of an agents file; `where` begins every error message.
+
+    Paths of maps are relative to `folder`.
 
     Raises
     ------
@@ -113,7 +127,9 @@ def parse_agents(tree: Any, where: str = "agents file") -> AgentsFile:
     entries = root.get("agents")
     if not isinstance(entries, list) or not entries:
         raise AgentsFileError(f"{where}: expected a list `agents` with at least one agent")
-    agents = tuple(_agent(entry, f"{where}: agents[{i}]") for i, entry in enumerate(entries))
+    agents = tuple(
+        _agent(entry, f"{where}: agents[{i}]", folder) for i, entry in enumerate(entries)
+    )
     for name in ("id", "namespace"):
         values = [getattr(agent, name) for agent in agents]
         twice = sorted({value for value in values if values.count(value) > 1})
@@ -181,6 +197,8 @@ def player_arguments(fleet: AgentsFile) -> list[str]:
 
 def _merger_entry(agent: AgentEntry) -> str:
     """Return an agent as the merger's parameter `agents` names it."""
+    if agent.map:
+        return f"{agent.id}={agent.map}"
     told = agent_of_namespace(agent.namespace) == agent.id
     return agent.namespace if told else f"{agent.id}={agent.namespace}"
 
@@ -193,11 +211,13 @@ def _parameter_arguments(params: Mapping[str, Any]) -> list[str]:
     return arguments
 
 
-def _agent(entry: Any, where: str) -> AgentEntry:
+def _agent(entry: Any, where: str, folder: Path | str) -> AgentEntry:
     tree = _mapping(entry, _AGENT_KEYS, where)
     if "id" not in tree:
         raise AgentsFileError(f"{where}: an agent needs an `id`")
     name = _text(tree, "id", "", _ID, where)
+    if "map" in tree:
+        return AgentEntry(name, f"/{name}", map=_map_path(tree, where, folder))
     namespace = _text(tree, "namespace", f"/{name}", _NAMESPACE, where)
     mode = tree.get("mode", "auto")
     if mode not in MODES:
@@ -209,6 +229,20 @@ def _agent(entry: Any, where: str) -> AgentEntry:
         mode=mode,
         params=_params(tree.get("params"), where),
     )
+
+
+def _map_path(tree: Mapping[str, Any], where: str, folder: Path | str) -> str:
+    """Return the absolute path of an agent's map file, which must be there."""
+    live = [key for key in _LIVE_KEYS if key in tree]
+    if live:
+        raise AgentsFileError(f"{where}: an agent that is a `map` has no `{live[0]}`")
+    name = tree["map"]
+    if not isinstance(name, str) or not name.endswith(".tmap"):
+        raise AgentsFileError(f"{where}: map: expected a .tmap file, got {name!r}")
+    path = (Path(folder) / Path(name).expanduser()).absolute()
+    if not path.is_file():
+        raise AgentsFileError(f"{where}: map: no file {path}")
+    return str(path)
 
 
 def _simulation(root: Mapping[str, Any], where: str) -> dict[str, Any] | None:

@@ -86,7 +86,7 @@ def fleet_processes(fleet: AgentsFile, options: FleetOptions) -> list[FleetProce
             f"{kind}extractor",
             (*common, *extractor_arguments(fleet, agent)),
         )
-        for agent in fleet.agents
+        for agent in fleet.live
     ]
     if fleet.simulation is not None:
         # It stamps with the time of day, and so must not wait for /clock.

@@ -96,7 +96,7 @@ class MergerSession:
         self.sources[m.agent] = source or self.sources.get(m.agent, m.agent)
         if m.agent not in self._order:
             self._order.append(m.agent)
-        newest = self._newer_session.get(m.agent) or self.maps.get(m.agent)
+        newest = self.newest(m.agent) if m.agent in self.maps else None
         if newest is not None and newest.session == m.session:
             if m.sequence <= newest.sequence:
                 return False
@@ -115,16 +115,12 @@ class MergerSession:
         self.by_hand.end_session(m.agent)
         return True
 
-    def merge(self, progress: Progress = None) -> MergeResult:
-        """Align all that changed and fuse the maps.
+    def newest(self, agent: str) -> TopometricMap:
+        """Return the newest map of an agent that has one, taken into the result or not yet."""
+        return self._newer_session.get(agent) or self.maps[agent]
 
-        Raises
-        ------
-        SessionError
-            No map was received yet.
-        MergeError
-            The maps cannot be merged.
-        """
+    def merge(self, progress: Progress = None) -> MergeResult:
+        """Align all that changed and fuse the maps; raises what :meth:`align` raises."""
         self.align(progress=progress)
         return self.fuse(progress)
 
