@@ -78,6 +78,7 @@ class Extractor(TopometricNode):
         self._last_extraction = -float("inf")
         self._first_cloud: float | None = None
         self.clouds: Inbox[PointCloud2] = Inbox(self._own.scan_queue)
+        self._dropped_before = 0
         self._transforms: Inbox[tuple[TFMessage, bool]] = Inbox(_TRANSFORMS_WAITING)
         if self._own.mode == "map":
             self.clouds.capacity = 1
@@ -158,27 +159,38 @@ class Extractor(TopometricNode):
 
     def take_in(self, at_once: bool = False) -> None:
         """Take the transforms and clouds that have arrived; say once why scans found no place."""
-        before = self.input.skipped_count
-        self._take_messages(at_once)
-        skipped = self.input.skipped_count - before
+        skipped_before, overflowed = self.input.skipped_count, self.input.overflowed
+        dropped = self._take_messages(at_once) + self.input.overflowed - overflowed
+        if self.report.lose(dropped):
+            self.get_logger().warning(
+                f"{dropped} scans lost: no more than {self._own.scan_queue} may wait, for an "
+                "extraction or for /tf (scan_queue)"
+            )
+        skipped = self.input.skipped_count - skipped_before
         if skipped and self.report.miss(self.input.skipped[-1]):
             self.get_logger().warning(f"{skipped} skipped: {self.input.skipped[-1]}")
 
-    def _take_messages(self, at_once: bool) -> None:
+    def _take_messages(self, at_once: bool) -> int:
+        """Take transforms and clouds; return how many scans had to make room for newer ones."""
         for transforms, static in self._transforms.take_all():
             self.input.add_transforms(transforms, static)
         self.input.expire(time.monotonic(), self._own.tf_timeout)
         if self._first_cloud is None:
-            return
+            return 0
         # A scan that arrives before the first /tf would be taken for a map of one scan.
         settled = time.monotonic() - self._first_cloud >= _SETTLE_S
         if self._own.mode == "auto" and not (settled or at_once):
-            return
+            return 0
+        dropped = self.clouds.dropped - self._dropped_before
+        self._dropped_before += dropped
         for message in self.clouds.take_all():
             self._take_cloud(message)
         # Of whole maps the latest serves; of scans none is dropped before the queue is full.
         whole = self._own.mode == "map" or self.input.session.counts.map_clouds > 0
         self.clouds.capacity = 1 if whole else self._own.scan_queue
+        if whole:
+            self.report.superseded += dropped
+        return 0 if whole else dropped
 
     def _take_cloud(self, message: PointCloud2) -> None:
         try:
@@ -221,9 +233,8 @@ class Extractor(TopometricNode):
         numbers: dict[str, object] = {
             "publishers": self._cloud.publishers,
             "quality of service": self._cloud.profile,
-            "superseded": self.clouds.dropped,
             "waiting for transforms": self.input.waiting,
-            "without transform": self.input.skipped_count,
+            "without transform": self.input.skipped_count - self.input.overflowed,
             "too little changed": self.report.unchanged,
             "map clouds": session.counts.map_clouds,
             "scans": session.counts.scans,

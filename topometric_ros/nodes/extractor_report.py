@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -9,17 +10,25 @@ from topometric_ros.extraction.quality import Quality
 from topometric_ros.nodes.diagnostics import Level, Status
 from topometric_ros.topometric_map import TopometricMap
 
+_LOST_TOLD_S = 60.0
+"""How long scans that were lost stay a warning."""
+
 
 @dataclass
 class ExtractorReport:
     """What happened since the start; `refusal` is why the last cloud was refused, if it was,
-    `missing` why scans were last given up."""
+    `missing` why scans were last given up; `superseded` are map clouds that newer ones replaced,
+    `lost` scans that the queue had no room for, of which the map holds nothing."""
 
     received: int = 0
     refused: int = 0
     refusal: str = ""
     missing: str = ""
     unchanged: int = 0
+    superseded: int = 0
+    lost: int = 0
+    lost_at: float = -float("inf")
+    """When scans were last lost, s of the monotonic clock."""
     failure: str = ""
     published: TopometricMap | None = None
     quality: Quality | None = None
@@ -42,6 +51,17 @@ class ExtractorReport:
         self.missing = told
         return is_new
 
+    def lose(self, scans: int) -> bool:
+        """Count scans that were lost; return whether none had been for a while."""
+        is_new = scans > 0 and not self._loses()
+        if scans > 0:
+            self.lost += scans
+            self.lost_at = time.monotonic()
+        return is_new
+
+    def _loses(self) -> bool:
+        return time.monotonic() - self.lost_at < _LOST_TOLD_S
+
     def extracted(self, topometric_map: TopometricMap, quality: Quality, cpu_s: float) -> None:
         """Note a map that was published, how good it is and the CPU time that it took."""
         self.published, self.quality = topometric_map, quality
@@ -61,12 +81,17 @@ class ExtractorReport:
         elif not self.received:
             level = Level.WARN
             message = "no cloud yet" if numbers["publishers"] else "nobody publishes the topic"
+        elif self._loses():
+            level, message = Level.WARN, f"{self.lost} scans lost: their queue was full"
+            if numbers.get("waits for"):
+                message += f"; {numbers['waits for']}"
         elif numbers.get("waits for"):
             level = Level.WARN
             message = f"{numbers['waiting for transforms']} scans wait: {numbers['waits for']}"
         elif self.missing and not numbers["scans"]:
             level, message = Level.WARN, f"no scan could be placed: {self.missing}"
         values = {"received": self.received, "refused": self.refused, **numbers}
+        values |= {"superseded": self.superseded, "scans lost": self.lost}
         return Status(f"{node}: input", level, message, values)
 
     def _map(self, node: str) -> Status:

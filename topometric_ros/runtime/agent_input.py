@@ -73,6 +73,8 @@ class AgentInput:
         self.skipped: list[str] = []
         """Why clouds were skipped, one sentence each, the newest last (at most 100 are kept)."""
         self.skipped_count = 0
+        self.overflowed = 0
+        """How many of them gave way to newer scans while they waited for transforms."""
         self._map_frame = map_frame.lstrip("/")
         self._sensor_frame = sensor_frame.lstrip("/")
         self._waiting: deque[_Scan] = deque()
@@ -84,7 +86,7 @@ class AgentInput:
         """Forget every cloud, taken or waiting; a new session begins. Transforms stay."""
         self._waiting.clear()
         self._taken_as_map = ""
-        self.skipped, self.skipped_count = [], 0
+        self.skipped, self.skipped_count, self.overflowed = [], 0, 0
         self.session.reset()
 
     def add_transforms(self, message: Any, static: bool) -> None:
@@ -129,6 +131,7 @@ class AgentInput:
         self._place_waiting()
         while len(self._waiting) > self._most_waiting:
             self._waiting.popleft()
+            self.overflowed += 1
             self._skip(f"more than {self._most_waiting} scans wait: {self._waits_for}")
 
     @property
