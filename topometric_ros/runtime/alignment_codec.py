@@ -55,7 +55,7 @@ def alignments_to_message(
     classes : namespace of message classes
     stamp : ns since the epoch
     maps : the map of each agent that the result was made of
-    stale : agents whose newer session is not aligned yet
+    stale : agents whose extractors are gone or whose newer session is not aligned yet
     """
     return classes.AlignmentArray(
         header=header(classes, result.global_frame, stamp),
