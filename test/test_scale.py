@@ -15,7 +15,7 @@ from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.fusion.registration import RegistrationConfig
 from topometric_ros.fusion.resolution import coarsened
 from topometric_ros.fusion.scale import stretch, unlike_scale
-from topometric_ros.fusion.surface import surface_of
+from topometric_ros.fusion.surface import Surface, surface_of
 from topometric_ros.topometric_map import TopometricMap
 
 
@@ -64,7 +64,7 @@ def test_a_map_is_coarsened_once_however_many_it_is_aligned_with() -> None:
 def test_registration_tells_by_how_much_one_map_is_larger(factor: float) -> None:
     a = Prepared(agent_map("a", A_ROOMS, T_BUILDING_A, noise=0.01), *_parts())
     b = surface_of(agent_map("b", B_ROOMS, T_BUILDING_B, noise=0.01, seed=1))
-    small = dataclasses.replace(b, points=b.points / factor)
+    small = Surface(b.points / factor, b.normals, b.sided, b.spacing)
     T = T_A_B.copy()
     middle = b.points.mean(axis=0)
     T[:3, 3] += T[:3, :3] @ (middle - middle / factor)

@@ -16,10 +16,10 @@ from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Ro
 from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, with_prior
 from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.fusion.fine_pose import fine_pose
+from topometric_ros.fusion.fine_pose import fine_pose, fine_poses
 from topometric_ros.fusion.furniture import stands_as_before
 from topometric_ros.fusion.gates import may_be_a_twin, missed_gate, objection, why_a_twin
-from topometric_ros.fusion.judge import judge, unless_elsewhere
+from topometric_ros.fusion.judge import FinePose, judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
 from topometric_ros.fusion.prepared import Prepared
@@ -90,12 +90,13 @@ def _aligned(
         return _believed(a, b, candidates, config, watch)
     if prior is not None:
         candidates.append(candidate_of(prior, a, b, config))
+    fine = fine_poses(a, b, config)
     with watch.stage("evidence"):
-        judged, decision = judge(a, b, candidates, config)
+        judged, decision = judge(a, b, candidates, fine, config)
         if prior is not None:
             judged, decision = decide_by_prior(judged, decision, prior, a, b, config)
         else:
-            decision = unless_elsewhere(a, b, judged, decision, config)
+            decision = unless_elsewhere(a, b, judged, decision, fine, config)
     alternatives = _alternatives(a, b, decision)
     if decision.status is not AlignmentStatus.ACCEPTED or decision.best is None:
         refused = _refused(a, b, decision.status, decision.reason)
@@ -104,7 +105,7 @@ def _aligned(
             refused, alternatives=alternatives, confidence=decision.confidence, score=score
         )
     best = judged[decision.best]
-    return _registered(a, b, best, decision, config, watch, ask_twins=prior is None)
+    return _registered(a, b, best, decision, fine, config, watch, ask_twins=prior is None)
 
 
 def _registered(
@@ -112,6 +113,7 @@ def _registered(
     b: Prepared,
     best: Judged,
     decision: Decision,
+    fine: FinePose,
     config: MergeConfig,
     watch: Stopwatch,
     ask_twins: bool,
@@ -125,7 +127,7 @@ def _registered(
     alternatives = _alternatives(a, b, decision)
     try:
         with watch.stage("registration"):
-            result = fine_pose(a, b, candidate, config)
+            result = fine(candidate)
     except RegistrationError as error:
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"registration failed: {error}")
         return replace(refused, alternatives=alternatives)

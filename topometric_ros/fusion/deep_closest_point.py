@@ -122,8 +122,9 @@ def _held(source: Surface, target: Surface, tree: cKDTree, T: Transform, seed: i
     source = _drawn(source, seed)
     distance, nearest = tree.query(apply(T, source.points), distance_upper_bound=_ON)
     rows = np.flatnonzero(np.isfinite(distance))
-    agree = np.einsum("ij,ij->i", source.normals[rows] @ T[:3, :3].T, target.normals[nearest[rows]])
-    sided = source.sided[rows] & target.sided[nearest[rows]]
+    normals, sided = target.facing(nearest[rows])
+    agree = np.einsum("ij,ij->i", source.normals[rows] @ T[:3, :3].T, normals)
+    sided &= source.sided[rows]
     right = np.where(sided, agree, np.abs(agree)) > 0.5
     return float((1.0 - distance[rows[right]] / _ON).sum()) / len(source)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
+from topometric_ros.alignment import RoomMatch
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.consensus import consensus
 from topometric_ros.fusion.prepared import Prepared
@@ -35,3 +37,22 @@ def fine_pose(a: Prepared, b: Prepared, candidate: Candidate, config: MergeConfi
         measured = register(b.surface, a.surface, agreed.T_a_b, still, a.tree)
         return replace(measured, T_target_source=agreed.T_a_b)
     return register(b.surface, a.surface, T, config.registration, a.tree)
+
+
+def fine_poses(
+    a: Prepared, b: Prepared, config: MergeConfig
+) -> Callable[[Candidate], Registration]:
+    """Return :func:`fine_pose` of two maps, which registers each pose once.
+
+    Judging and accepting ask for the same ones, and for poses that were registered already.
+    """
+    made: dict[tuple[bytes, tuple[RoomMatch, ...]], Registration] = {}
+
+    def of(candidate: Candidate) -> Registration:
+        key = (candidate.T_a_b.tobytes(), candidate.matches)
+        if key not in made:
+            found = fine_pose(a, b, candidate, config)
+            made[key] = made[found.T_target_source.tobytes(), candidate.matches] = found
+        return made[key]
+
+    return of

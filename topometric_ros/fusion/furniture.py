@@ -116,7 +116,9 @@ def furniture_of(topometric_map: TopometricMap, surface: Surface) -> Furniture:
         rows = np.flatnonzero(inside & (height > _LOWEST) & (height < _HIGHEST))
         found = labels[tuple(cells[rows].T)]
         piece[rows[found > 0]] = found[found > 0] + piece.max(initial=0)
-    rows = np.flatnonzero((piece > 0) & (np.abs(surface.normals[:, 2]) < _UPRIGHT))
+    rows = np.flatnonzero(piece > 0)
+    normals, _ = surface.facing(rows)
+    rows = rows[np.abs(normals[:, 2]) < _UPRIGHT]
     return surface.take(rows), piece[rows]
 
 

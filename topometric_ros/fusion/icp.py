@@ -31,6 +31,9 @@ ALL: Axes = np.eye(3)
 _DRAWN_FIRST = 10
 """So many times the points that are used are looked at for lying near the target."""
 
+_FEW = 2000
+"""Points that are enough in all rounds but the last, which alone says where the pose ends."""
+
 
 @dataclass(frozen=True)
 class Pairs:
@@ -92,11 +95,13 @@ def shared_part(
         Fewer than `smallest_pairs` do.
     """
     generator = np.random.default_rng(config.seed)
+    drawn = np.arange(len(source))
     if len(source) > _DRAWN_FIRST * config.points:
         drawn = generator.choice(len(source), _DRAWN_FIRST * config.points, replace=False)
-        source = source.take(np.sort(drawn))
-    reach, _ = tree.query(apply(T, source.points), distance_upper_bound=gate + source.spacing)
-    near = np.flatnonzero(np.isfinite(reach))
+        drawn = np.sort(drawn)
+    moved = apply(T, source.points[drawn])
+    reach, _ = tree.query(moved, distance_upper_bound=gate + source.spacing)
+    near = drawn[np.isfinite(reach)]
     if len(near) < config.smallest_pairs:
         raise RegistrationError(
             f"only {len(near)} points lie within {gate:g} m of the other map; "
@@ -143,10 +148,12 @@ def _icp(
     tree = tree or cKDTree(target.points)
     gates = gates_of(config, max(source.spacing, target.spacing))
     source = shared_part(source, tree, T_init, gates[0], config)
+    few = source.take(np.arange(0, len(source), max(1, len(source) // _FEW)))
     T = T_init.copy()
-    for gate in gates:
+    for round_, gate in enumerate(gates):
+        used = source if round_ == len(gates) - 1 else few
         for _ in range(config.steps):
-            T, step = _step(pairs_of(source, target, tree, T, gate, config), T, config, axes)
+            T, step = _step(pairs_of(used, target, tree, T, gate, config), T, config, axes)
             if step < 1e-4:
                 break
     return measured(source, target, tree, T, config, axes)
@@ -169,10 +176,11 @@ def pairs_of(
     distance, nearest = tree.query(moved, distance_upper_bound=reach)
     rows = np.flatnonzero(np.isfinite(distance))
     nearest = nearest[rows]
-    normals = target.normals[nearest]
+    normals, sided = target.facing(nearest)
+    own_normals, own_sided = source.facing(rows)
     residuals = np.sum(normals * (moved[rows] - target.points[nearest]), axis=1)
-    agree = np.sum(normals * (source.normals[rows] @ T[:3, :3].T), axis=1)
-    sided = source.sided[rows] & target.sided[nearest]
+    agree = np.sum(normals * (own_normals @ T[:3, :3].T), axis=1)
+    sided &= own_sided
     agree = np.where(sided, agree, np.abs(agree))
     keep = (np.abs(residuals) < gate) & (agree >= config.normals_cosine)
     residuals = residuals[keep]

@@ -7,7 +7,7 @@ elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,19 +15,21 @@ import numpy as np
 from topometric_ros.alignment import AlignmentStatus
 from topometric_ros.fusion.ceilings import open_above
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.fusion.fine_pose import fine_pose
 from topometric_ros.fusion.poses import apart
 from topometric_ros.fusion.prepared import Prepared
-from topometric_ros.fusion.registration import RegistrationError
+from topometric_ros.fusion.registration import Registration, RegistrationError
 from topometric_ros.fusion.rivals import Judged
 from topometric_ros.fusion.verification import Decision, decide, doubt_repeated
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import evaluate
 from topometric_ros.matching.likeness import likeness
 
+FinePose = Callable[[Candidate], Registration]
+"""Registers a candidate finely: `fusion.fine_pose.fine_poses` of two maps."""
+
 
 def judge(
-    a: Prepared, b: Prepared, candidates: Sequence[Candidate], config: MergeConfig
+    a: Prepared, b: Prepared, candidates: Sequence[Candidate], fine: FinePose, config: MergeConfig
 ) -> tuple[list[Judged], Decision]:
     """Return the candidates with their evidence, and what is decided.
 
@@ -37,14 +39,19 @@ def judge(
     scoring = config.search.scoring
     judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, scoring)) for c in candidates]
     decision = decide(judged, config.verification)
-    finer = _registered_best(a, b, judged, decision, config)
+    finer = _registered_best(a, b, judged, decision, fine, config)
     if finer is None:
         return judged, decision
     return finer, decide(finer, config.verification)
 
 
 def unless_elsewhere(
-    a: Prepared, b: Prepared, judged: Sequence[Judged], decision: Decision, config: MergeConfig
+    a: Prepared,
+    b: Prepared,
+    judged: Sequence[Judged],
+    decision: Decision,
+    fine: FinePose,
+    config: MergeConfig,
 ) -> Decision:
     """Doubt an accepted pose that may be another storey, or one room of which there are more.
 
@@ -62,12 +69,21 @@ def unless_elsewhere(
     small = evidence.free_floor < limits.repeated_floor
     if not small or evidence.free_share >= limits.repeated_part:
         return decision
-    share = likeness(a.fields, b.fields, candidate.T_a_b, config.search.scoring)
+    try:
+        T = fine(candidate).T_target_source
+    except RegistrationError:
+        T = candidate.T_a_b
+    share = likeness(a.fields, b.fields, T, config.search.scoring)
     return doubt_repeated(decision, evidence, share, limits)
 
 
 def _registered_best(
-    a: Prepared, b: Prepared, judged: list[Judged], decision: Decision, config: MergeConfig
+    a: Prepared,
+    b: Prepared,
+    judged: list[Judged],
+    decision: Decision,
+    fine: FinePose,
+    config: MergeConfig,
 ) -> list[Judged] | None:
     """Return the candidates with a refused best one registered; None where that changes nothing."""
     if decision.status is not AlignmentStatus.REJECTED or decision.best is None:
@@ -77,7 +93,7 @@ def _registered_best(
     if not conflicts or evidence.value < config.verification.clear_gap:
         return None
     try:
-        T = fine_pose(a, b, candidate, config).T_target_source
+        T = fine(candidate).T_target_source
     except RegistrationError:
         return None
     if apart(T, candidate.T_a_b, np.array([evidence.centre])) > config.largest_correction:

@@ -62,7 +62,7 @@ class Prepared:
     @property
     def tree(self) -> cKDTree:
         """Tree of the surface's points."""
-        return self._once("tree", lambda: cKDTree(self.surface.points))
+        return self._once("tree", lambda: self.surface.tree)
 
     def _once(self, key: Hashable, make: Callable[[], MadeT]) -> MadeT:
         with self._lock:

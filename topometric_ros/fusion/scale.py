@@ -122,7 +122,8 @@ def stretch(
     for gate in gates:
         for _ in range(config.steps):
             points = middle + np.exp(log_factor) * (source.points - middle)
-            pairs = pairs_of(replace(source, points=points), target, tree, T, gate, config)
+            stretched = Surface(points, source.normals, source.sided, source.spacing)
+            pairs = pairs_of(stretched, target, tree, T, gate, config)
             if len(pairs.residuals) < config.smallest_pairs:
                 raise RegistrationError(f"only {len(pairs.residuals)} pairs of points are left")
             there = apply(T, middle[None])[0]

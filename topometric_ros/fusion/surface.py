@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from topometric_ros.matching.planes import fit_planes
 from topometric_ros.topometric_map import Storey, TopometricMap
@@ -29,26 +30,89 @@ _SLAB = 0.15
 """Points this near to a storey's floor or ceiling (m) are seen from that storey."""
 
 
-@dataclass(frozen=True)
 class Surface:
     """Points (N, 3) float64 in m, unit normals (N, 3), and which of them (N,) point to free space.
 
     A wall seen from one room must not attract the same wall seen from the next: where both normals
-    are `sided` they must agree, where one is not, their sign means nothing.
+    are `sided` they must agree, where one is not, their sign means nothing. `spacing` is the
+    typical distance of neighbouring points, m: the voxel's edge.
     """
 
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    sided: NDArray[np.bool_]
-    spacing: float
-    """Typical distance of neighbouring points, m: the voxel's edge."""
+    def __init__(
+        self,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64],
+        sided: NDArray[np.bool_],
+        spacing: float,
+    ) -> None:
+        self.points = points
+        self.spacing = spacing
+        self._normals = normals
+        self._sided = sided
 
     def __len__(self) -> int:
         return len(self.points)
 
+    @property
+    def normals(self) -> NDArray[np.float64]:
+        """Unit normals of all points: (N, 3)."""
+        self._fit(np.arange(len(self)))
+        return self._normals
+
+    @property
+    def sided(self) -> NDArray[np.bool_]:
+        """Whether each normal points to free space: (N,)."""
+        self._fit(np.arange(len(self)))
+        return self._sided
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Tree of the points."""
+        return cKDTree(self.points)
+
+    def facing(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the normals of some points, and which of them point to free space."""
+        self._fit(rows)
+        return self._normals[rows], self._sided[rows]
+
     def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Surface:
         """Return some of the points."""
-        return Surface(self.points[rows], self.normals[rows], self.sided[rows], self.spacing)
+        kept = np.arange(len(self))[rows]
+        return Surface(self.points[kept], *self.facing(kept), self.spacing)
+
+    def _fit(self, rows: NDArray[np.int64]) -> None:
+        """Make sure that the normals of some points are there."""
+
+
+class _MapSurface(Surface):
+    """The surface of a map, whose normals are fitted where they are asked for.
+
+    Registering a pair looks at some ten thousand points, and a map may have a million. What two
+    threads fit at once is the same.
+    """
+
+    def __init__(self, topometric_map: TopometricMap) -> None:
+        points = topometric_map.surface()
+        n = len(points)
+        super().__init__(
+            points, np.zeros((n, 3)), np.zeros(n, dtype=bool), topometric_map.voxel_size
+        )
+        self._storeys = topometric_map.storeys
+        self._fitted = np.zeros(n, dtype=bool)
+
+    def _fit(self, rows: NDArray[np.int64]) -> None:
+        missing = rows[~self._fitted[rows]]
+        if len(missing) == 0:
+            return
+        missing = np.unique(missing)
+        points = self.points[missing]
+        normals, _ = fit_planes(self.points, NEIGHBOURS, missing, self.tree)
+        sided = np.zeros(len(points), dtype=bool)
+        for storey in self._storeys:
+            _side_walls(storey, points, normals, sided)
+        _side_slabs(self._storeys, points, normals, sided)
+        self._normals[missing], self._sided[missing] = normals, sided
+        self._fitted[missing] = True
 
 
 def surface_of(topometric_map: TopometricMap) -> Surface:
@@ -58,13 +122,7 @@ def surface_of(topometric_map: TopometricMap) -> Surface:
     (the storey's `free` raster) and of a slab the one of its storey; a wall free on both sides, as
     a thin one seen from two rooms is, stays without.
     """
-    points = topometric_map.surface()
-    normals, _ = fit_planes(points, NEIGHBOURS)
-    sided = np.zeros(len(points), dtype=bool)
-    for storey in topometric_map.storeys:
-        _side_walls(storey, points, normals, sided)
-    _side_slabs(topometric_map.storeys, points, normals, sided)
-    return Surface(points, normals, sided, topometric_map.voxel_size)
+    return _MapSurface(topometric_map)
 
 
 def _side_walls(

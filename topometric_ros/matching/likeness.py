@@ -29,7 +29,7 @@ _REACH = 2
 """Cells round what the other map knows that still count as seen by both."""
 
 _SWEEP = SweepConfig(keep=24)
-_REFINE = RefineConfig(keep_coarse=6, keep=3)
+_REFINE = RefineConfig(coarse_samples=3000, second_samples=6000, keep_coarse=6, keep=3)
 
 
 def likeness(

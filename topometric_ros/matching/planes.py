@@ -15,7 +15,10 @@ _SWEEPS, _EXACT = 12, 1e-14
 
 
 def fit_planes(
-    points: NDArray[np.float64], neighbours: int
+    points: NDArray[np.float64],
+    neighbours: int,
+    rows: NDArray[np.int64] | None = None,
+    tree: cKDTree | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a plane through each point's nearest neighbours by principal components.
 
@@ -23,11 +26,13 @@ def fit_planes(
     ----------
     points : (N, 3) float64, m
     neighbours : how many nearest points, the point itself included, make a plane
+    rows : (n,) int64, points to fit a plane at; None: all
+    tree : of the points, if the caller has one
 
     Returns
     -------
-    normals : (N, 3) float64, unit length, sign arbitrary
-    distances : (N,) float64, m, the summed distance of the neighbours to their plane
+    normals : (n, 3) float64, unit length, sign arbitrary
+    distances : (n,) float64, m, the summed distance of the neighbours to their plane
 
     Examples
     --------
@@ -36,14 +41,15 @@ def fit_planes(
     >>> bool(np.allclose(np.abs(normals[:, 2]), 1.0)), float(distances.max())
     (True, 0.0)
     """
+    centres = points if rows is None else points[rows]
     k = min(neighbours, len(points))
     if k < 3:
-        return np.tile([0.0, 0.0, 1.0], (len(points), 1)), np.zeros(len(points))
-    tree = cKDTree(points)
-    normals, distances = np.empty((len(points), 3)), np.empty(len(points))
-    for start in range(0, len(points), _AT_ONCE):
+        return np.tile([0.0, 0.0, 1.0], (len(centres), 1)), np.zeros(len(centres))
+    tree = tree or cKDTree(points)
+    normals, distances = np.empty((len(centres), 3)), np.empty(len(centres))
+    for start in range(0, len(centres), _AT_ONCE):
         block = slice(start, start + _AT_ONCE)
-        nearest = tree.query(points[block], k=k)[1]
+        nearest = tree.query(centres[block], k=k)[1]
         normals[block], distances[block] = _planes(points, nearest)
     return normals, distances
 

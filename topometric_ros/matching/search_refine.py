@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
-from topometric_ros.matching.search_fields import MapFields, ScoringConfig
+from topometric_ros.matching.search_fields import MapFields, ScoringConfig, candidate_heights
 from topometric_ros.matching.search_poses import (
     Comparison,
     Pose,
@@ -27,7 +27,10 @@ class RefineConfig:
     """How many poses are refined, and on how many cells."""
 
     coarse_samples: int = parameter(
-        3000, "Wall and free cells that the first pass looks at.", minimum=200, maximum=1_000_000
+        800, "Wall and free cells that the first pass looks at.", minimum=200, maximum=1_000_000
+    )
+    second_samples: int = parameter(
+        2500, "Wall and free cells that the second pass looks at.", minimum=200, maximum=1_000_000
     )
     fine_samples: int = parameter(
         6000, "Wall and free cells that the later passes look at.", minimum=200, maximum=1_000_000
@@ -52,9 +55,14 @@ class _Pass:
         return _grid(*self.shift)
 
 
+_WIDE = _Pass((6.0, 1.5), (1.2, 0.2), conflict_weight=2.0)
 _FIRST = _Pass((1.5, 0.75), (0.3, 0.1), conflict_weight=2.0)
 _SECOND = _Pass((1.2, 0.3), (0.2, 0.1), conflict_weight=2.0)
 _LAST = (_Pass((0.45, 0.15), (0.1, 0.05)), _Pass((0.3, 0.1), (0.06, 0.03)))
+_EXACT = _Pass((0.1, 0.1), (0.03, 0.03))
+
+_WIDE_SAMPLES = 600
+"""Wall and free cells that are looked at while a pose may still be a metre off."""
 
 
 def _grid(half: float, step: float) -> NDArray[np.float64]:
@@ -89,10 +97,10 @@ def refine_poses(
     views = _Views(a, b)
     rough = [_improved(views, p, (_FIRST,), scoring, config.coarse_samples) for p in poses]
     kept = distinct(views, rough, config.keep_coarse)
-    better = [_improved(views, p, (_SECOND,), scoring, config.fine_samples) for p in kept]
+    better = [_improved(views, p, (_SECOND,), scoring, config.second_samples) for p in kept]
     kept = distinct(views, better, config.keep)
     fine = [_improved(views, p, _LAST, scoring, config.fine_samples) for p in kept]
-    exact = [_scored(views, p, scoring) for p in fine]
+    exact = [_improved(views, p, (_EXACT,), scoring, None) for p in fine]
     return distinct(views, exact, config.keep)
 
 
@@ -102,13 +110,57 @@ def refine_pose(
     """Return the best pose in the basin of one, with its S."""
     views = _Views(a, b)
     passes = (_FIRST, _SECOND, *_LAST)
-    return _scored(views, _improved(views, pose, passes, scoring, config.fine_samples), scoring)
+    fine = _improved(views, pose, passes, scoring, config.fine_samples)
+    return _improved(views, fine, (_EXACT,), scoring, None)
+
+
+def fit_nearby(
+    a: MapFields,
+    b: MapFields,
+    poses: list[Pose],
+    found: list[Pose],
+    scoring: ScoringConfig,
+    config: RefineConfig,
+) -> list[Pose | None]:
+    """Return where very rough poses fit best nearby, and None for all but the best distinct ones.
+
+    Parameters
+    ----------
+    poses : within about 7° and 1.5 m of what they mean, as rooms' centroids and doors tell; their
+        heights become the nearest difference of floors
+    found : refined poses, not refined once more where one of `poses` leads to them
+    config : `second_samples`, `fine_samples` and `keep` are used
+    """
+    views = _Views(a, b)
+    heights = np.array(candidate_heights(a, b))
+    if len(heights) == 0:
+        return [None] * len(poses)
+    on_floors = [replace(p, height=float(heights[abs(heights - p.height).argmin()])) for p in poses]
+    near = [_improved(views, p, (_WIDE, _FIRST), scoring, _WIDE_SAMPLES) for p in on_floors]
+    kept = distinct(views, near, config.keep)
+    fitted: list[Pose | None] = []
+    for pose in near:
+        if not any(pose is other for other in kept):
+            fitted.append(None)
+            continue
+        centre = common_centre(views.at(pose.height, _WIDE_SAMPLES), pose)
+        same = [p for p in found if same_pose(p, pose, centre, DISTINCT)]
+        if not same:
+            better = _improved(views, pose, (_SECOND,), scoring, config.second_samples)
+            fine = _improved(views, better, _LAST, scoring, config.fine_samples)
+            same = [_improved(views, fine, (_EXACT,), scoring, None)]
+        fitted.append(same[0])
+    return fitted
 
 
 def _improved(
-    views: _Views, pose: Pose, passes: tuple[_Pass, ...], scoring: ScoringConfig, samples: int
+    views: _Views,
+    pose: Pose,
+    passes: tuple[_Pass, ...],
+    scoring: ScoringConfig,
+    samples: int | None,
 ) -> Pose:
-    """Take the best of each pass's grid in turn."""
+    """Take the best of each pass's grid in turn; its score is S of as many cells."""
     comparison = views.at(pose.height, samples)
     for step in passes:
         conflict = scoring.conflict_weight
@@ -124,17 +176,6 @@ def _improved(
         x, y = target - turned.moved(centre)
         pose = replace(turned, x=float(x), y=float(y))
     return pose
-
-
-def _scored(views: _Views, pose: Pose, scoring: ScoringConfig) -> Pose:
-    """S at a pose on all cells."""
-    comparison = views.at(pose.height, None)
-    weights = (scoring.conflict_weight, scoring.free_weight)
-    still = np.zeros(1)
-    return replace(
-        pose,
-        score=float(score_around(comparison, pose, np.zeros(2), still, still, weights)[0, 0, 0]),
-    )
 
 
 def distinct(views: _Views, poses: list[Pose], keep: int) -> list[Pose]:

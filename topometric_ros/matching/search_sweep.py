@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -30,6 +31,9 @@ from topometric_ros.matching.search_poses import Pose
 _CELLS_WALL_BLUR = 0.8
 _BLUR_GAIN = 1.8
 _LAYERS = 4
+
+_BLOCK = 8
+"""Cells along the side of a block of shifts of which the best one is kept."""
 
 
 @dataclass(frozen=True)
@@ -75,18 +79,21 @@ def sweep(a: MapFields, b: MapFields, config: SweepConfig) -> list[Pose]:
     pairs = [storey_pairs(a, b, height) for height in heights]
     half_turn = round(180.0 / config.yaw_step)
     offset = (main_direction(a) - main_direction(b)) % (np.pi / half_turn)
-    rows: list[tuple[float, float, float, float, int]] = []
+    found: list[NDArray[np.float64]] = []
     for k in range(half_turn):
         yaw = offset + np.pi * k / half_turn
         moving = [_transform(_draw_moving(s, frame, yaw), frame) for s in b.storeys]
         for level, meeting in enumerate(pairs):
             for turned in (False, True):
                 field = _correlate(fixed, moving, meeting, frame, turned)
-                rows += _maxima(field, frame, yaw + np.pi * turned, level, config.maxima_per_yaw)
-    rows.sort(key=lambda row: (-row[0], row[4], row[1], row[2], row[3]))
+                found.append(_maxima(field, yaw + np.pi * turned, level, config.maxima_per_yaw))
+    score, level, yaw, *cell = np.concatenate(found).T
+    x, y = _shifted(np.column_stack(cell), yaw, frame).T
+    best = np.lexsort((y, x, yaw, level, -score))[: config.keep]
+    yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
     return [
-        Pose((yaw + np.pi) % (2 * np.pi) - np.pi, x, y, heights[level], score)
-        for score, yaw, x, y, level in rows[: config.keep]
+        Pose(float(yaw[k]), float(x[k]), float(y[k]), heights[int(level[k])], float(score[k]))
+        for k in best
     ]
 
 
@@ -171,35 +178,67 @@ def _correlate(
     Half a turn reverses b's rasters, which only conjugates their spectra (and flips the sides), so
     every spectrum serves two yaws.
     """
-    sign = (1, -1, -1, 1) if turned else (1, 1, 1, 1)
     total = np.zeros((frame.shape[0], frame.shape[1] // 2 + 1), np.complex64)
     for i, j in pairs:
-        for layer in range(_LAYERS):
-            spectrum = moving[j][layer]
-            other = spectrum if turned else np.conj(spectrum)
-            total += sign[layer] * fixed[i][layer] * other
+        _add_product(total, fixed[i], moving[j], turned)
     return scipy.fft.irfft2(total, s=frame.shape, workers=1)
 
 
-def _maxima(
-    field: NDArray[np.float32], frame: _Frame, yaw: float, level: int, count: int
-) -> list[tuple[float, float, float, float, int]]:
-    """Best positive blocks of 8 x 8 shifts as (score, yaw, x, y, level)."""
-    nx, ny = (-(-n // 8) * 8 for n in field.shape)
-    padded = np.full((nx, ny), -np.inf, np.float32)
-    padded[: field.shape[0], : field.shape[1]] = field
-    blocks = padded.reshape(nx // 8, 8, ny // 8, 8).swapaxes(1, 2).reshape(-1, 64)
-    where = blocks.argmax(axis=1)
-    best = blocks.max(axis=1)
-    rows = []
-    for k in np.argsort(-best, kind="stable")[:count]:
-        if best[k] <= 0.0:
-            break
-        i = int(k // (ny // 8) * 8 + where[k] // 8)
-        j = int(k % (ny // 8) * 8 + where[k] % 8)
-        shift = [v - n if v > n // 2 else v for v, n in zip((i, j), frame.shape, strict=True)]
-        c, s = np.cos(yaw), np.sin(yaw)
-        turned = np.array([[c, -s], [s, c]]) @ frame.middle_b
-        x, y = np.array(shift) * frame.cell + frame.middle_a - turned
-        rows.append((float(best[k]), float(yaw), float(x), float(y), level))
-    return rows
+@njit(cache=True, nogil=True)
+def _add_product(total, fixed, moving, turned):  # type: ignore[no-untyped-def]
+    """Add the sum over the layers of the product of two maps' spectra, in place."""
+    for x in range(total.shape[0]):
+        for y in range(total.shape[1]):
+            if turned:
+                total[x, y] += (
+                    fixed[0, x, y] * moving[0, x, y]
+                    - fixed[1, x, y] * moving[1, x, y]
+                    - fixed[2, x, y] * moving[2, x, y]
+                    + fixed[3, x, y] * moving[3, x, y]
+                )
+            else:
+                total[x, y] += (
+                    fixed[0, x, y] * np.conj(moving[0, x, y])
+                    + fixed[1, x, y] * np.conj(moving[1, x, y])
+                    + fixed[2, x, y] * np.conj(moving[2, x, y])
+                    + fixed[3, x, y] * np.conj(moving[3, x, y])
+                )
+
+
+def _maxima(field: NDArray[np.float32], yaw: float, level: int, count: int) -> NDArray[np.float64]:
+    """Return the best positive blocks of shifts: (n, 5), score, level, yaw and the cell (i, j)."""
+    best, cell = _block_maxima(field, _BLOCK)
+    top = np.argsort(-best, kind="stable")[:count]
+    top = top[best[top] > 0.0]
+    return np.column_stack([best[top], np.full(len(top), level), np.full(len(top), yaw), cell[top]])
+
+
+def _shifted(
+    cell: NDArray[np.float64], yaw: NDArray[np.float64], frame: _Frame
+) -> NDArray[np.float64]:
+    """Return the translations (n, 2), m, of b in a that cells (n, 2) of a correlation mean."""
+    shift = np.where(cell > np.array(frame.shape) // 2, cell - frame.shape, cell)
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = frame.middle_b
+    turned = np.column_stack([c * x - s * y, s * x + c * y])
+    return shift * frame.cell + frame.middle_a - turned
+
+
+@njit(cache=True, nogil=True)
+def _block_maxima(field, size):  # type: ignore[no-untyped-def]
+    """Return the largest value of each block (B,), and the cell (B, 2) that holds it."""
+    nx, ny = field.shape
+    count = -(-nx // size) * -(-ny // size)
+    best = np.empty(count, np.float32)
+    cell = np.empty((count, 2), np.int64)
+    k = 0
+    for x in range(0, nx, size):
+        for y in range(0, ny, size):
+            largest, where_i, where_j = field[x, y], x, y
+            for i in range(x, min(x + size, nx)):
+                for j in range(y, min(y + size, ny)):
+                    if field[i, j] > largest:
+                        largest, where_i, where_j = field[i, j], i, j
+            best[k], cell[k, 0], cell[k, 1] = largest, where_i, where_j
+            k += 1
+    return best, cell
