@@ -150,6 +150,6 @@ def test_a_fleet_may_be_simulated() -> None:
         parse_agents({"agents": [{"id": "a"}], "simulation": {"seed": 3}})
     three = simulated_fleet({"building": "home"}, 3)
     assert [(agent.id, agent.cloud, agent.mode) for agent in three.agents] == [
-        (name, "scan_cloud", "scan") for name in "abc"
+        (name, "scan_cloud", "scan") for name in ("robot1", "robot2", "robot3")
     ]
     assert three.simulation == {"building": "home", "agents": 3}

@@ -16,7 +16,7 @@ from topometric_ros.configuration import flatten
 from topometric_ros.extraction.config import PRESETS, extraction_preset
 from topometric_ros.fusion.config import merge_preset
 from topometric_ros.nodes.config import ExtractorNodeConfig, MergerNodeConfig
-from topometric_ros.runtime.agents_file import read_agents_file
+from topometric_ros.runtime.agents_file import read_agents_file, simulated_fleet
 from topometric_ros.runtime.config import load_config, preset_config
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -75,8 +75,8 @@ def test_the_fast_dds_profile_gives_a_cloud_room_in_shared_memory() -> None:
 
 def test_a_simulated_fleet_ships() -> None:
     fleet = read_agents_file(ROOT / "config" / "simulated_fleet.yaml")
-    assert [agent.id for agent in fleet.agents] == ["a", "b"]
     assert fleet.simulation is not None
+    assert fleet.agents == simulated_fleet({}, 2).agents, "as `run --simulate` names them"
     assert fleet.simulation["agents"] == 2
 
 
@@ -90,6 +90,11 @@ def test_what_is_shown_is_what_is_published(name: str) -> None:
     shown = re.findall(r"(?<![\w.])/(?:robot\d/)?(\w+)", text)
     assert set(shown) <= published
     assert {"global_cloud", "global_markers", "rooms"} <= set(shown)
+    fleets = [
+        read_agents_file(ROOT / "config" / f"{f}.yaml") for f in ("agents", "simulated_fleet")
+    ]
+    for fleet in fleets:
+        assert set(re.findall(r"/\w+(?=/rooms)", text)) == {a.namespace for a in fleet.agents}
 
 
 def test_the_launch_file_describes_every_argument() -> None:

@@ -182,7 +182,7 @@ class PlayerNodeConfig:
     )
     agents: int = parameter(
         2,
-        "Agents of the simulated fleet; they are called a, b, c and so on.",
+        "Agents of the simulated fleet; they are called robot1, robot2 and so on.",
         minimum=1,
         maximum=26,
     )

@@ -6,6 +6,7 @@ to every cloud, plays once in the recorded rhythm, and stays, so that what is la
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import tempfile
 import threading
@@ -27,6 +28,7 @@ from topometric_ros.nodes import parameters, qos
 from topometric_ros.nodes.config import PlayerNodeConfig
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
 from topometric_ros.nodes.worker import Worker
+from topometric_ros.runtime.agents_file import simulated_names
 
 _TYPES = {CLOUD_TYPE: PointCloud2, TRANSFORM_TYPE: TFMessage, MAP_TYPE: TopometricMap}
 _LOOK_S = 0.2
@@ -123,7 +125,9 @@ def simulate_fleet(config: PlayerNodeConfig, path: Path) -> None:
 
     wanted = SimulationConfig(agents=config.agents, overlap=config.overlap)
     case = simulate(load_building(config.building), wanted, config.seed)
-    write_bag(case, path, config.clouds)
+    named = zip(case.agents, simulated_names(len(case.agents)), strict=True)
+    agents = tuple(dataclasses.replace(agent, id=name) for agent, name in named)
+    write_bag(dataclasses.replace(case, agents=agents), path, config.clouds)
 
 
 def profile(topic: TopicInfo) -> QoSProfile:

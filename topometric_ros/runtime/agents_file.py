@@ -148,10 +148,21 @@ def parse_agents(tree: Any, where: str = "agents file", folder: Path = Path()) -
 
 
 def simulated_fleet(params: Mapping[str, Any], agents: int) -> AgentsFile:
-    """Return a fleet of so many simulated agents: a, b, c and so on."""
-    names = "abcdefghijklmnopqrstuvwxyz"[:agents]
+    """Return a fleet of so many simulated agents, see :func:`simulated_names`."""
+    names = simulated_names(agents)
     entries = tuple(AgentEntry(name, f"/{name}", "scan_cloud", "scan") for name in names)
     return AgentsFile(entries, simulation={**params, "agents": agents})
+
+
+def simulated_names(agents: int) -> tuple[str, ...]:
+    """Return what the agents of a live simulated fleet are called, as in the layouts that ship.
+
+    Examples
+    --------
+    >>> simulated_names(2)
+    ('robot1', 'robot2')
+    """
+    return tuple(f"robot{number}" for number in range(1, agents + 1))
 
 
 def agent_of_namespace(namespace: str) -> str:

@@ -72,7 +72,7 @@ def fleet_processes(fleet: AgentsFile, options: FleetOptions) -> list[FleetProce
     --------
     >>> from topometric_ros.runtime.agents_file import simulated_fleet
     >>> [p.name for p in fleet_processes(simulated_fleet({}, 1), FleetOptions())]
-    ['extractor of a', 'player', 'merger']
+    ['extractor of robot1', 'player', 'merger']
     """
     told = ["--ros-args", "--log-level", options.log_level]
     # rcl lets those names of nodes win that are named last for the first time: the file's must
