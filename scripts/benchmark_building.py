@@ -11,6 +11,10 @@ included; area is the floor of all rooms.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # CPU seconds are of one thread.
+
 import argparse
 import sys
 import tempfile

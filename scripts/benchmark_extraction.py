@@ -11,6 +11,10 @@ count. Seconds of CPU, not of wall clock, because machines are shared.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # CPU seconds are of one thread.
+
 import argparse
 import json
 import resource

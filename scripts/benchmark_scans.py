@@ -13,6 +13,10 @@ bytes. Times are CPU ms of one thread.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # CPU seconds are of one thread.
+
 import argparse
 import importlib
 import tempfile

@@ -14,6 +14,10 @@ registered badly or stand apart are rejected (§6.5). CPU seconds are a pair's.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # CPU seconds are of one thread.
+
 import argparse
 import time
 from collections.abc import Sequence

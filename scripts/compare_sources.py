@@ -10,6 +10,10 @@ Prints a Markdown table. "Right" is under 0.5 m of mean displacement and under 5
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # CPU seconds are of one thread.
+
 import argparse
 import json
 import time

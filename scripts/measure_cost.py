@@ -12,6 +12,10 @@ drawing points of its own with a millimetre of noise. Prints Markdown tables.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # CPU seconds are of one thread.
+
 import argparse
 import tempfile
 import time

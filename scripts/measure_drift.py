@@ -12,6 +12,10 @@ mean distance between the two agents' faces of the same walls after rigid and no
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # CPU seconds are of one thread.
+
 import argparse
 import sys
 import time

@@ -76,7 +76,7 @@ def test_an_unknown_schema_is_named() -> None:
 
 
 def test_a_missing_file_and_another_kind_are_one_line(tmp_path: Path) -> None:
-    with pytest.raises(MapFileError, match=r"a\.tmap: the map file cannot be read: No such file"):
+    with pytest.raises(MapFileError, match=r"a\.tmap: the file cannot be read: No such file"):
         load_map(tmp_path / "a.tmap")
     (tmp_path / "a.tmap").write_bytes(b"ply\n")
     with pytest.raises(MapFileError, match=r"expected a \.tmap file"):

@@ -7,8 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.errors import TopometricError
 from topometric_ros.fusion.poses import Transform, apply, inverse
 from topometric_ros.topometric_map import Storey, StoreyLayers, TopometricMap
+
+_MASKS = ("wall", "furniture", "free", "bare")
+_MOST_CELLS = 1 << 26
+"""Cells of a raster at most: what a message may hold."""
 
 _Member = tuple[int, Storey, Transform]
 """Index of the map, its storey, and its transform to the global level frame."""
@@ -63,6 +68,11 @@ def merged_layers(parts: Sequence[tuple[StoreyLayers, Transform]]) -> StoreyLaye
 
     Each cell of the result asks every map for its cell at that place, which leaves no holes where a
     turned raster would. What one map saw as wall is not free, and as furniture not bare.
+
+    Raises
+    ------
+    TopometricError
+        The maps lie too far apart for one raster.
     """
     if len(parts) == 1 and np.array_equal(parts[0][1], np.eye(4)):
         return parts[0][0]
@@ -72,19 +82,27 @@ def merged_layers(parts: Sequence[tuple[StoreyLayers, Transform]]) -> StoreyLaye
     low = np.floor(corners.min(axis=0) / cell).astype(int)
     high = np.ceil(corners.max(axis=0) / cell).astype(int)
     shape = (int(high[0] - low[0] + 1), int(high[1] - low[1] + 1))
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
-    centres = np.zeros((shape[0] * shape[1], 3))
-    centres[:, :2] = (grid.reshape(-1, 2) + low) * cell
-    wall, furniture, free, bare = (np.zeros(shape, bool) for _ in range(4))
+    if shape[0] * shape[1] > _MOST_CELLS:
+        raise TopometricError(
+            f"the maps of one storey lie {shape[0] * cell:.0f} m by {shape[1] * cell:.0f} m apart, "
+            f"{shape[0] * shape[1]} raster cells, at most {_MOST_CELLS} are made: is an alignment "
+            "or a prior that was given wrong?"
+        )
+    total = np.zeros((4, *shape), bool)
     for layers, T in parts:
+        # Only where the map is: a fleet's building is much larger than one agent's part.
+        around = apply(T, _corners(layers))[:, :2] / cell
+        first = np.clip(np.floor(around.min(axis=0)).astype(int) - 1 - low, 0, shape)
+        last = np.clip(np.ceil(around.max(axis=0)).astype(int) + 2 - low, 0, shape)
+        part = (slice(first[0], last[0]), slice(first[1], last[1]))
+        grid = np.stack(np.meshgrid(*map(np.arange, first, last), indexing="ij"), axis=-1)
+        centres = np.zeros((grid[..., 0].size, 3))
+        centres[:, :2] = (grid.reshape(-1, 2) + low) * cell
         rows, inside = _sampled(layers, apply(inverse(T), centres)[:, :2])
-        for total, mask in (
-            (wall, layers.wall),
-            (furniture, layers.furniture),
-            (free, layers.free),
-            (bare, layers.bare),
-        ):
-            total |= (inside & mask.ravel()[rows]).reshape(shape)
+        for seen, name in zip(total, _MASKS, strict=True):
+            here = inside & getattr(layers, name).ravel()[rows]
+            seen[part] |= here.reshape(grid.shape[:2])
+    wall, furniture, free, bare = total
     free &= ~wall
     bare &= free & ~furniture
     origin = (float(low[0] * cell), float(low[1] * cell))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.io.map_format import MapFileError, Section, decode, encode
+from topometric_ros.io.map_format import MapFileError, Section, decode, encode, read_container
 from topometric_ros.io.packing import PackingError
 from topometric_ros.io.summaries import (
     building_fields,
@@ -75,12 +75,7 @@ def load_global_map(
 ) -> tuple[TopometricMap, NDArray[np.uint32] | None, tuple[str, ...]]:
     """Read a .tmap file with who observed each voxel: the map, masks (or None) and agent ids."""
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or error
-        raise MapFileError(f"{path}: the map file cannot be read: {reason}") from error
-    return decode_map(data, str(path))
+    return decode_map(read_container(path), str(path))
 
 
 def map_file_of(folder: Path) -> Path | None:

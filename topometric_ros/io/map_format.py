@@ -20,6 +20,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ VERSION = 2
 """1 kept mean points in sixteenths of a voxel, 2 keeps them in quarters."""
 _PREFIX = struct.Struct("<4sHII")
 _LARGEST_HEADER = 1 << 26
+_LARGEST_FILE = 1 << 32
 _MOST_NUMBERS = 8 * MAXIMUM_ITEMS
 """In all sections together: twice those of the largest map that a message may hold."""
 _TYPES = ("int8", "int32", "uint32", "float32", "float64")
@@ -60,6 +62,27 @@ class Section:
     name: str
     encoding: str
     array: NDArray[Any]
+
+
+def read_container(path: Path) -> bytes:
+    """Return the bytes of a file.
+
+    Raises
+    ------
+    MapFileError
+        There is none, it cannot be read, is too large, or is no ordinary file: a device or a pipe
+        may have no end.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise MapFileError(f"{path}: expected a file, got a folder, a device or a pipe")
+        size = path.stat().st_size
+        if size > _LARGEST_FILE:
+            raise MapFileError(f"{path}: {size} bytes, at most {_LARGEST_FILE} are read")
+        return path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or error
+        raise MapFileError(f"{path}: the file cannot be read: {reason}") from error
 
 
 def encode(fields: Mapping[str, Any], sections: list[Section]) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -90,6 +91,8 @@ def write_atomically(path: Path, data: bytes, durable: bool = False) -> None:
                 os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink()  # On a full disk it would take what others need.
         raise MapFileError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import PurePath
 
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.runtime.agents_file import agent_of_namespace
+
+_AGENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+def check_agent(agent: str) -> None:
+    """Raise ConfigurationError for a name that no agent can have; the command's are the same."""
+    if not _AGENT.fullmatch(agent):
+        raise ConfigurationError(
+            f"agent: expected letters, digits, '_', '-' and '.', the last two not first, "
+            f"got {agent!r}"
+        )
 
 
 def is_map_file(place: str) -> bool:
@@ -20,7 +33,7 @@ def parse_agents(entries: Sequence[str]) -> dict[str, str]:
     Raises
     ------
     ConfigurationError
-        An agent or a namespace is empty or named twice.
+        An agent or a namespace is impossible or named twice.
 
     Examples
     --------
@@ -35,7 +48,8 @@ def parse_agents(entries: Sequence[str]) -> dict[str, str]:
         namespace = (after if separator else before).rstrip("/")
         name = PurePath(before).stem if is_map_file(before) else agent_of_namespace(namespace)
         agent = before if separator else name
-        if not agent:
+        possible = is_map_file(namespace) or _NAMESPACE.fullmatch(namespace)
+        if not (_AGENT.fullmatch(agent) and possible):
             raise ConfigurationError(f"expected a namespace or id=namespace, got {entry!r}")
         if agent in agents or namespace in agents.values():
             raise ConfigurationError(f"{entry!r} names an agent twice")

@@ -20,6 +20,7 @@ from topometric_ros.errors import TopometricError
 from topometric_ros.extraction.config import ExtractionConfig, extraction_preset
 from topometric_ros.matching.config import matching_preset
 from topometric_ros.nodes import parameters, qos, tf
+from topometric_ros.nodes.agent_names import check_agent
 from topometric_ros.nodes.cloud_subscription import CloudSubscription
 from topometric_ros.nodes.config import DescribingConfig, ExtractorNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
@@ -56,15 +57,19 @@ class Extractor(TopometricNode):
         super().__init__("extractor", automatically_declare_parameters_from_overrides=True)
         log_to(self)
         self._own, self._wanted = self._declare_parameters()
+        self._matching = dataclasses.replace(
+            matching_preset(self._own.preset), descriptors=self._own.matching.descriptors
+        )
+        self._agent = self._own.agent or agent_of_namespace(self.get_namespace()) or "agent"
+        check_agent(self._agent)
         self._classes = message_classes()
         self.working = threading.Lock()
 
     def _set_up(self) -> None:
-        agent = self._own.agent or agent_of_namespace(self.get_namespace()) or "agent"
-        matching = dataclasses.replace(
-            matching_preset(self._own.preset), descriptors=self._own.matching.descriptors
+        agent = self._agent
+        session = ExtractorSession(
+            agent, self._wanted, self._matching, lambda: uuid.uuid4().hex[:12]
         )
-        session = ExtractorSession(agent, self._wanted, matching, lambda: uuid.uuid4().hex[:12])
         self.input = AgentInput(
             session,
             mode=self._own.mode,

@@ -310,6 +310,9 @@ class Merger(TopometricNode):
         stale = tuple(sorted(a for a in self.report.gone if a in self.session.maps))
         if stale != self._stale or self._overdue():
             self._worker.wake()
+        if self._own.forget_after and self.working.acquire(blocking=False):
+            self.roster.drop(self._own.forget_after, self.session.maps)
+            self.working.release()
         self._publish_diagnostics()
 
     def _overdue(self) -> list[str]:

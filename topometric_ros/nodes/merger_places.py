@@ -27,10 +27,10 @@ class Places:
         frames = published_frames(own, global_frame)
         former = self._known[2]
         for agent, frame in frames.items():
-            if frame != own[agent] and former.get(agent) != frame:
+            if frame != own[agent].lstrip("/") and former.get(agent) != frame:
+                why = "is in use already" if own[agent] else "is empty"
                 self._node.get_logger().warning(
-                    f"{agent}: its map frame's name {own[agent]} is in use already; on /tf it is "
-                    f"{frame}"
+                    f"{agent}: its map frame's name {own[agent]} {why}; on /tf it is {frame}"
                 )
         placed = {agent: T for agent, T in session.transforms().items() if agent in frames}
         self._known = (global_frame, placed, frames)

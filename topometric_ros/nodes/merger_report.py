@@ -36,6 +36,7 @@ class InputReport:
     received: int = 0
     refused: int = 0
     refusal: str = ""
+    publishers: int = 0
     newest: TopometricMap | None = None
     arrived: int = 0
     """When `newest` arrived, ns."""
@@ -101,7 +102,11 @@ def _agent(
     node: str, entry: InputReport, placement: AgentPlacement | None, now: int, gone: float | None
 ) -> Status:
     name = f"{node}: agent {entry.topic}"
-    values: dict[str, object] = {"received": entry.received, "refused": entry.refused}
+    values: dict[str, object] = {
+        "received": entry.received,
+        "refused": entry.refused,
+        "publishers": entry.publishers,
+    }
     m = entry.newest
     if m is not None:
         values |= {
@@ -109,7 +114,7 @@ def _agent(
             "session": m.session,
             "sequence": m.sequence,
             "frame": m.frame_id,
-            "age [s]": (now - entry.arrived) * _NANOSECONDS,
+            "age [s]": max(0, now - entry.arrived) * _NANOSECONDS,  # A clock may be set back.
             "rooms": len(m.rooms),
             "voxels": len(m.voxels),
         }
@@ -127,6 +132,10 @@ def _agent(
         return Status(name, Level.WARN, "not merged yet", values)
     known = placement.status is not AgentStatus.UNALIGNED
     text = f"{placement.status}: {placement.reason}" if placement.reason else placement.status.value
+    if entry.publishers > 1:
+        return Status(
+            name, Level.WARN, f"{entry.publishers} publishers on its topic; {text}", values
+        )
     return Status(name, Level.OK if known else Level.WARN, text, values)
 
 
@@ -137,7 +146,7 @@ def _alignment(node: str, x: Alignment, age: int, rooms: Mapping[str, int]) -> S
     """
     values: dict[str, object] = {
         "status": x.status.value,
-        "age [s]": age * _NANOSECONDS,
+        "age [s]": max(0, age) * _NANOSECONDS,
         "rooms": " and ".join(str(rooms.get(agent, 0)) for agent in x.agents),
         "matches": len(x.matches),
         "candidates": len(x.alternatives) + x.accepted,

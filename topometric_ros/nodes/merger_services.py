@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,7 +76,10 @@ class _MergerServices:
 
     def load_map(self, request: Any, response: Any) -> Any:
         try:
-            m = load_map(request.path)
+            m = load_map(Path(request.path).expanduser())
+        except (ValueError, RuntimeError) as error:  # A name that no file can have.
+            response.code, response.message = response.FILE_ERROR, f"{request.path}: {error}"
+            return response
         except TopometricError as error:
             unreadable = isinstance(error.__cause__, OSError)
             response.code = response.FILE_ERROR if unreadable else response.FAILED

@@ -6,19 +6,27 @@ wait for it. A file that cannot be written is told once and tried again after th
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 from typing import Any
 
+from topometric_ros.errors import ConfigurationError
 from topometric_ros.io.map_format import MapFileError
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.merger_state import EncodedMaps, load_state, save_state
 
 
 class StateKeeper:
-    """The state file of one merger; an empty path keeps nothing."""
+    """The state file of one merger; an empty path keeps nothing.
+
+    Raises
+    ------
+    ConfigurationError
+        The path is that of a folder, a device or a pipe: it must not be put aside or replaced.
+    """
 
     def __init__(self, path: str, logger: Any) -> None:
-        self._path = Path(path).expanduser() if path else None
+        self._path = _file(path) if path else None
         self._logger = logger
         self._told = ""
         self._encoded = EncodedMaps()
@@ -58,3 +66,15 @@ class StateKeeper:
             return text
         self._told = ""
         return ""
+
+
+def _file(path: str) -> Path:
+    try:
+        file = Path(path).expanduser()
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise ConfigurationError(f"state_file: expected a file, {file} is something else")
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError, RuntimeError) as error:  # No such user, or no such name at all.
+        raise ConfigurationError(f"state_file: {path!r}: {error}") from error
+    return file

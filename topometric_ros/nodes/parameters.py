@@ -91,7 +91,8 @@ def _declare(node: Node, info: ParameterInfo, value: Any, read_only: bool) -> No
 def on_change(node: Node, configs: Configs, changed: Callable[[Configs], None]) -> None:
     """Call `changed` with the new configurations whenever valid values are set.
 
-    What is not valid is refused, with the reason in the result of the set.
+    What is not valid is refused, with the reason in the result of the set; so is what `changed`
+    raises a ConfigurationError for.
     """
     present = [configs]
 
@@ -101,10 +102,11 @@ def on_change(node: Node, configs: Configs, changed: Callable[[Configs], None]) 
         if not values:
             return SetParametersResult(successful=True)
         try:
-            present[0] = _updated(present[0], values)
+            updated = _updated(present[0], values)
+            changed(updated)
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        changed(present[0])
+        present[0] = updated
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(check)

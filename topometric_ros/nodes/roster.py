@@ -7,10 +7,12 @@ nothing new to say is silent for hours.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 
+from rclpy.subscription import Subscription
 from topometric_msgs.msg import TopometricMap as MapMessage
 
+from topometric_ros.errors import ConfigurationError
 from topometric_ros.nodes import qos
 from topometric_ros.nodes.agent_names import is_map_file
 from topometric_ros.nodes.merger_report import InputReport
@@ -34,11 +36,16 @@ class Roster:
         self.reports: dict[str, InputReport] = {}
         self._node = node
         self._last_seen: dict[str, float] = {}
+        self._subscriptions: dict[str, Subscription] = {}
+        self._told_full = False
         for agent, place in self.listed.items():
             if is_map_file(place):
                 self.reports[agent] = InputReport(place)
-            else:
-                self._add(agent, node.resolve_topic_name(f"{place}/{TOPIC}"))
+                continue
+            topic = node.resolve_topic_name(f"{place}/{TOPIC}")
+            if any(report.topic == topic for report in self.reports.values()):
+                raise ConfigurationError(f"agents: {topic} is named twice")
+            self._add(agent, topic)
 
     @property
     def files(self) -> dict[str, str]:
@@ -76,8 +83,25 @@ class Roster:
             self._find()
         for agent in self.inboxes:
             report = self.reports[agent]
-            if self._node.count_publishers(report.topic):
+            before, report.publishers = report.publishers, self._publishers(report.topic)
+            if report.publishers:
                 self._last_seen[agent] = time.monotonic()
+            if report.publishers > max(1, before):
+                self._node.get_logger().warning(
+                    f"{report.topic} has {report.publishers} publishers: do several extractors "
+                    f"take themselves for {agent}? Maps of the session that began last count"
+                )
+
+    def drop(self, longer_than: float, kept: Container[str]) -> None:
+        """Take who was found, not listed, and has been gone for so long (s) off the list.
+
+        Agents that are in `kept` stay; the others may be found again.
+        """
+        gone = self.gone(longer_than)
+        found = [name for name in self.inboxes if name not in self.listed]
+        for name in [n for n in found if self.id_of(n) in gone and self.id_of(n) not in kept]:
+            del self.inboxes[name], self.reports[name], self._last_seen[name]
+            self._node.destroy_subscription(self._subscriptions.pop(name))
 
     def seen(self, name: str) -> InputReport:
         """Note that an agent has sent something; return its report."""
@@ -130,11 +154,24 @@ class Roster:
             if last != TOPIC or _TYPE not in types or topic in topics:
                 continue
             agent = agent_of_namespace(namespace) or "agent"
-            if agent in self.inboxes or agent in self.listed or len(self.reports) >= _MOST:
+            # A topic that somebody only listens to is no agent's.
+            if agent in self.inboxes or agent in self.listed or not self._publishers(topic):
                 continue
+            if len(self.reports) >= _MOST:
+                if not self._told_full:
+                    self._node.get_logger().error(
+                        f"{topic} is not listened to: there are {_MOST} agents already; "
+                        "`forget_after` drops those that are gone"
+                    )
+                self._told_full = True
+                return
+            self._told_full = False
             self._node.get_logger().info(f"found {agent}: {topic}")
             self._add(agent, topic)
             self._subscribe(agent, topic)
+
+    def _publishers(self, topic: str) -> int:
+        return int(self._node.count_publishers(topic))
 
     def _add(self, agent: str, topic: str) -> None:
         self.inboxes.setdefault(agent, Inbox(1))
@@ -144,4 +181,6 @@ class Roster:
 
     def _subscribe(self, agent: str, topic: str) -> None:
         receive = self.inboxes[agent].put
-        self._node.create_subscription(MapMessage, topic, receive, qos.SNAPSHOT)
+        self._subscriptions[agent] = self._node.create_subscription(
+            MapMessage, topic, receive, qos.SNAPSHOT
+        )

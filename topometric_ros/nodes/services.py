@@ -10,6 +10,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from topometric_ros.errors import TopometricError
+from topometric_ros.nodes.running import describe_failure
 from topometric_ros.runtime.extractor_session import SessionError
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from topometric_ros.nodes.merger import Merger
 
 Answer = Callable[[Any, Any], Any]
+
+_FAILED = 2
+"""The code of what nobody thought of, FAILED of those services that have it."""
 
 
 def offer(node: Node, services: Iterable[tuple[type, str, Answer]]) -> None:
@@ -26,7 +30,21 @@ def offer(node: Node, services: Iterable[tuple[type, str, Answer]]) -> None:
     """
     waiting = MutuallyExclusiveCallbackGroup()
     for kind, name, answer in services:
-        node.create_service(kind, name, answer, callback_group=waiting)
+        node.create_service(kind, name, _answered(node, answer), callback_group=waiting)
+
+
+def _answered(node: Node, answer: Answer) -> Answer:
+    """Return an answer that also comes where answering fails: a caller must not wait for ever."""
+
+    def answered(request: Any, response: Any) -> Any:
+        try:
+            return answer(request, response)
+        except Exception as error:
+            response.code, response.message = _FAILED, describe_failure(error)
+            node.get_logger().error(f"a service failed: {response.message}")
+            return response
+
+    return answered
 
 
 def computed(node: Extractor | Merger, compute: Callable[[], None], response: Any) -> bool:
@@ -45,11 +63,14 @@ def computed(node: Extractor | Merger, compute: Callable[[], None], response: An
 
 def written(path: str, write: Callable[[Path], None], response: Any) -> bool:
     """Return whether a file was written, and fill in the response's code and path."""
-    target = Path(path).expanduser().absolute()
     try:
+        target = Path(path).expanduser().absolute()
+        if target.is_dir():
+            raise TopometricError("expected a file's name, got a folder's")
         write(target)
-    except (OSError, TopometricError) as error:
-        response.code, response.message = response.FILE_ERROR, f"{target}: {error}"
+    except (OSError, TopometricError, ValueError, RuntimeError) as error:
+        # The last two are of names that no file can have, and of users that are not there.
+        response.code, response.message = response.FILE_ERROR, f"{path}: {error}"
         return False
     response.code, response.path = response.SUCCESS, str(target)
     return True

@@ -5,6 +5,7 @@ As in :mod:`message_codec` the message classes come as a namespace with their ba
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -178,6 +179,13 @@ def _placement(message: Any) -> AgentPlacement:
 
 def _alignment(message: Any) -> Alignment:
     what = f"alignment {message.agent_a}-{message.agent_b}"
+    numbers = (message.confidence, message.overlap, message.rmse, message.score)
+    if not all(map(math.isfinite, numbers)):
+        raise CodecError(f"{what}: expected finite numbers, got {numbers}")
+    if message.agent_a == message.agent_b:
+        raise CodecError(f"{what}: expected two agents")
+    if message.status == message.ACCEPTED and not message.has_transform:
+        raise CodecError(f"{what}: accepted, but without a transform")
     return Alignment(
         agents=(str(message.agent_a), str(message.agent_b)),
         status=_status(_ALIGNMENT_STATUS, message.status, what),

@@ -16,18 +16,25 @@ def published_frames(frame_ids: Mapping[str, str], global_frame: str) -> dict[st
     """Return the name on /tf of each agent's map frame.
 
     Its own name, or `<agent>/<frame>` where two agents, or an agent and the global frame, use the
-    same one.
+    same one; an agent that names no frame gets `<agent>/map`. No two are the same.
 
     Examples
     --------
-    >>> published_frames({"a": "map", "b": "map", "c": "c/map"}, "global")
-    {'a': 'a/map', 'b': 'b/map', 'c': 'c/map'}
+    >>> published_frames({"a": "map", "b": "/map", "c": "c/map", "d": ""}, "global")
+    {'a': 'a/map', 'b': 'b/map', 'c': 'c/map', 'd': 'd/map'}
     """
-    used = [*frame_ids.values(), global_frame]
-    return {
-        agent: frame if used.count(frame) == 1 else f"{agent}/{frame}"
-        for agent, frame in frame_ids.items()
-    }
+    # A name on /tf begins with no slash.
+    own = {agent: frame.lstrip("/") for agent, frame in frame_ids.items()}
+    used = [*own.values(), global_frame.lstrip("/")]
+    names = {}
+    for agent, frame in own.items():
+        name = frame
+        if not frame or used.count(frame) > 1:
+            name = f"{agent}/{frame or 'map'}"
+            while name in used:
+                name = f"{agent}/{name}"
+        names[agent] = name
+    return names
 
 
 def transforms_message(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import logging
+from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -21,7 +22,7 @@ from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.merge import MOST_AGENTS, fused, place
 from topometric_ros.runtime.by_hand import ByHand, covariance_of, taken_back
 from topometric_ros.runtime.extractor_session import SessionError
-from topometric_ros.runtime.merger_state import Known, MergerState
+from topometric_ros.runtime.merger_state import MOST_ENDED, Known, MergerState
 from topometric_ros.runtime.moved_maps import MOVED, move_told, still_there
 from topometric_ros.runtime.pairs import Pairs
 from topometric_ros.stopwatch import Stopwatch
@@ -64,7 +65,7 @@ class MergerSession:
         self.waiting = 0
         """Pairs that are still to be aligned with the newest maps."""
         self._newer_session: dict[str, TopometricMap] = {}
-        self._ended: dict[str, set[str]] = {}
+        self._ended: dict[str, deque[str]] = {}
         self._pairs = Pairs()
         self.by_hand = ByHand()
         """What an operator has said of pairs."""
@@ -110,7 +111,7 @@ class MergerSession:
             self.maps[m.agent] = m
             return True
         logger.info("%s: session %s follows %s", m.agent, m.session, newest.session)
-        self._ended.setdefault(m.agent, set()).add(newest.session)
+        self._ended.setdefault(m.agent, deque(maxlen=MOST_ENDED)).append(newest.session)
         self._newer_session[m.agent] = m
         self.by_hand.end_session(m.agent)
         return True
@@ -236,7 +237,7 @@ class MergerSession:
             maps=dict(self.maps),
             newer=dict(self._newer_session),
             sources=dict(self.sources),
-            ended={agent: tuple(sorted(sessions)) for agent, sessions in self._ended.items()},
+            ended={agent: tuple(sessions) for agent, sessions in self._ended.items()},
             known=tuple(self._pairs.known.values()),
             fixed=tuple(self.by_hand.fixed.values()),
             removed=self.by_hand.removed,
@@ -249,7 +250,7 @@ class MergerSession:
         self._order = [*named, *(agent for agent in state.order if agent not in named)]
         self.maps, self._newer_session = dict(state.maps), dict(state.newer)
         self.sources = dict(state.sources)
-        self._ended = {agent: set(sessions) for agent, sessions in state.ended.items()}
+        self._ended = {agent: deque(known, MOST_ENDED) for agent, known in state.ended.items()}
         self._pairs.known = {entry.alignment.agents: entry for entry in state.known}
         self.by_hand = ByHand({x.agents: x for x in state.fixed}, state.removed)
 

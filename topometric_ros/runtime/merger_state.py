@@ -15,14 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
+from topometric_ros.fusion.merge import MOST_AGENTS
 from topometric_ros.io.map_files import decode_map, encode_map
-from topometric_ros.io.map_format import MapFileError, Section, decode, encode
+from topometric_ros.io.map_format import MapFileError, Section, decode, encode, read_container
 from topometric_ros.io.packing import PackingError
 from topometric_ros.io.summaries import matrix_rows, optional, write_atomically
 from topometric_ros.runtime.transforms import TransformError, check_rigid
 from topometric_ros.topometric_map import TopometricMap
 
 SCHEMA = "topometric-state/1"
+
+MOST_ENDED = 1000
+"""Ended sessions of an agent that are remembered: a day's, of one that starts every two minutes."""
 
 Version = tuple[str, int]
 """Session and sequence of a map."""
@@ -134,16 +138,11 @@ def load_state(path: Path) -> MergerState:
     MapFileError
         The file is missing, damaged, or of another kind or version.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or error
-        raise MapFileError(f"{path}: the state cannot be read: {reason}") from error
-    fields, arrays = decode(data, str(path))
+    fields, arrays = decode(read_container(path), str(path))
     if fields.get("schema") != SCHEMA:
         raise MapFileError(f"{path}: schema: expected {SCHEMA!r}, got {fields.get('schema')!r}")
     try:
-        return MergerState(
+        state = MergerState(
             order=tuple(str(agent) for agent in fields["order"]),
             maps=_maps(fields["maps"], "maps", arrays, path),
             newer=_maps(fields["newer"], "newer", arrays, path),
@@ -153,8 +152,23 @@ def load_state(path: Path) -> MergerState:
             fixed=tuple(_alignment(entry) for entry in fields["fixed"]),
             removed=tuple((str(a), str(b)) for a, b in fields.get("removed", ())),
         )
+        _check(state)
+        return state
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, TransformError) as error:
         raise MapFileError(f"{path}: the state makes no sense: {error!r}") from error
+
+
+def _check(state: MergerState) -> None:
+    """Raise ValueError where the parts of a state contradict each other."""
+    for held in (state.maps, state.newer):
+        for agent, m in held.items():
+            if agent not in state.order or agent not in state.maps or m.agent != agent:
+                raise ValueError(f"a map of {m.agent!r} in the place of {agent!r}")
+    if len(state.maps) > MOST_AGENTS:
+        raise ValueError(f"maps of {len(state.maps)} agents, at most {MOST_AGENTS} can be merged")
+    for x in (*(entry.alignment for entry in state.known), *state.fixed):
+        if x.agents[0] == x.agents[1] or (x.accepted and x.T_a_b is None):
+            raise ValueError(f"an alignment of {' and '.join(x.agents)} without a transform")
 
 
 def _maps(

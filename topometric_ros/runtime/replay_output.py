@@ -50,7 +50,12 @@ class ReplayOutput:
 
     def __init__(self, path: Path, agents: Sequence[str]) -> None:
         self._bag = BagWriter(path)
-        self._topics = {agent: f"/{topic_token(agent)}/topometric_map" for agent in agents}
+        self._topics: dict[str, str] = {}
+        for agent in agents:
+            token = topic_token(agent)
+            while f"/{token}/topometric_map" in self._topics.values():
+                token += "_"  # Another agent's id has the same letters.
+            self._topics[agent] = f"/{token}/topometric_map"
         self._classes = message_classes()
 
     def __enter__(self) -> ReplayOutput:

@@ -18,6 +18,10 @@ from scipy.spatial.transform import Rotation
 from topometric_ros.errors import TopometricError
 
 _SECOND = 1_000_000_000
+_MOST_FRAMES = 10_000
+_LONGEST_CHAIN = 1000
+_LISTED = 20
+"""Frames of a tree, of a way up it, and in a message, at most; a robot has some hundred."""
 
 
 class TransformError(TopometricError):
@@ -73,6 +77,8 @@ class TransformBuffer:
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent or edge.static != static:
             edge = self._edges[child] = _Edge(parent, static)
+            if len(self._edges) > _MOST_FRAMES:
+                self._make_room(child)
         if static:
             edge.stamps, edge.poses = [stamp], [T_parent_child]
             return
@@ -89,6 +95,19 @@ class TransformBuffer:
         if self._history is not None:
             old = bisect.bisect_left(edge.stamps, edge.stamps[-1] - self._history)
             del edge.stamps[:old], edge.poses[:old]
+
+    def _make_room(self, newest: str) -> None:
+        """Drop a tenth of the frames: moving ones that were last heard of longest ago.
+
+        A tracker that gives each thing it sees a frame of its own must not fill the memory.
+        """
+        moving = [frame for frame, edge in self._edges.items() if not edge.static and edge.stamps]
+        moving.sort(key=lambda frame: self._edges[frame].stamps[-1])
+        for frame in moving[: _MOST_FRAMES // 10]:
+            del self._edges[frame]
+        if not moving:
+            del self._edges[newest]
+            raise TransformError(f"more than {_MOST_FRAMES} frames that stand still")
 
     def add_message(self, message: Any, static: bool) -> list[str]:
         """Take the transforms of a tf2_msgs/TFMessage of any library.
@@ -120,6 +139,8 @@ class TransformBuffer:
             parent = self._edges[chain[-1]].parent
             if parent in chain:
                 raise TransformError(f"the frames {' -> '.join([*chain, parent])} form a circle")
+            if len(chain) == _LONGEST_CHAIN:
+                raise TransformError(f"more than {_LONGEST_CHAIN} frames lie above {chain[0]}")
             chain.append(parent)
         return chain
 
@@ -151,7 +172,8 @@ class TransformBuffer:
             known = self.frames()
             missing = [name for name in (target, source) if name not in known]
             if missing:
-                listed = ", ".join(sorted(known)) or "none"
+                listed = ", ".join(sorted(known)[:_LISTED]) or "none"
+                listed += f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
                 raise TransformNotYetError(
                     f"no frame {' or '.join(missing)} on /tf; known: {listed}"
                 )

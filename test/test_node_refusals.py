@@ -1,0 +1,74 @@
+"""What the nodes are told that they cannot do: refused in words, and nothing is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from test.helpers_ros import missing, private_context
+from topometric_ros.errors import ConfigurationError
+from topometric_ros.nodes.agent_names import check_agent, parse_agents
+
+if missing():
+    pytest.skip(missing(), allow_module_level=True)
+
+import rclpy
+from topometric_msgs.srv import SaveMap, SetAlignment
+
+from topometric_ros.nodes import services
+from topometric_ros.nodes.merger_state import StateKeeper
+from topometric_ros.nodes.running import TopometricNode
+
+
+@pytest.fixture
+def node() -> Iterator[TopometricNode]:
+    context = private_context()
+    made = TopometricNode("refusing", context=context, use_global_arguments=False)
+    yield made
+    made.destroy_node()
+    context.shutdown()
+
+
+@pytest.mark.parametrize("entry", ["/robot 1", "a=b=c", "/1r", "=/r", "x=", "/", "a b=/r", "é"])
+def test_names_that_no_agent_can_have_are_refused_in_one_line(entry: str) -> None:
+    with pytest.raises(ConfigurationError, match="expected a namespace or id=namespace"):
+        parse_agents([entry])
+    assert parse_agents(["r2/", "floor-2.a=/fleet/b"]) == {"r2": "r2", "floor-2.a": "/fleet/b"}
+    for agent in ("a b", "", "-a", "a\nb", "a/b"):
+        with pytest.raises(ConfigurationError, match="agent: expected letters"):
+            check_agent(agent)
+
+
+def test_a_folder_is_no_state_file_and_stays_where_it_is(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    for path in (str(tmp_path / "maps"), "/dev/null", "a\0b", "~nobody-of-that-name/state"):
+        with pytest.raises(ConfigurationError, match="state_file"):
+            StateKeeper(path, rclpy.logging.get_logger("test"))
+    assert [path.name for path in tmp_path.iterdir()] == ["maps"]
+
+
+def test_every_call_of_a_service_gets_an_answer(node: TopometricNode, tmp_path: Path) -> None:
+    def fail(request: Any, response: Any) -> Any:
+        raise KeyError("nobody thought of this")
+
+    response = services._answered(node, fail)(None, SetAlignment.Response())
+    assert response.code == 2
+    assert "nobody thought of this" in response.message
+    saved: list[Path] = []
+
+    def write(path: Path) -> None:
+        path.write_bytes(b"a map")
+        saved.append(path)
+
+    for path in ("", str(tmp_path), "a\0b", "~nobody-of-that-name/map.tmap"):
+        response = SaveMap.Response()
+        assert not services.written(path, write, response)
+        assert response.code == response.FILE_ERROR
+    assert not saved
+    response = SimpleNamespace(SUCCESS=0)
+    assert services.written(str(tmp_path / "map.tmap"), write, response)
+    assert saved == [tmp_path / "map.tmap"]
