@@ -95,6 +95,17 @@ def test_every_case_has_its_row_with_the_truth_compared(evaluated: Path) -> None
     assert flat.message_bytes[0] < 12 * flat.points[0] / 4
 
 
+def test_a_run_that_is_done_answers_a_pipe_in_json_and_nothing_else(suite, evaluated, capfd):
+    command = ["evaluate", str(suite), "-o", str(evaluated), "--jobs", "1"]
+    assert main([*command, "--json"]) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    rows = {row["case"]: row for row in json.loads(out)["rows"]}
+    assert list(rows) == ["flat", "hall", "flat a x hall b"]
+    assert rows["flat"]["overlap"] == [1.0]
+    assert rows["flat a x hall b"]["displacement"] == [None]
+
+
 def test_tables_and_report_stand_alone(evaluated: Path) -> None:
     text = (evaluated / "tables.md").read_text()
     for title in ("Fusion", "Rooms", "Edges of the topological graph", "Matching", "Bytes"):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from topometric_ros.cli.common import add_verbose, finish_progress, output_folder, steps_of
+from topometric_ros.cli.common import add_json, add_verbose, output_folder, progress_of, report
 
 PEERS = "topometric, topometric_thesis, birdseye, kiss_matcher, fpfh_ransac_icp, fgr_icp"
 """As `evaluation.peers.registry` has them, which takes a second to import."""
@@ -66,6 +67,7 @@ def add_parser(commands: Any) -> None:
             default=sizes,
             help=f"of --scaling (default {' '.join(map(str, sizes))})",
         )
+    add_json(command)
     add_verbose(command)
     command.set_defaults(command=benchmark)
 
@@ -82,7 +84,7 @@ def benchmark(options: argparse.Namespace) -> int:
         raise BenchmarkError("give folders of pairs or suites, or --scaling without them")
     if options.scaling:
         return _scaling(options)
-    peers, progress = options.peers or _installed(), steps_of(options)
+    peers, progress = options.peers or _installed(), progress_of(options)
     for peer in peers:
         make_peer(peer)  # What is not installed is told before hours of simulation.
     folder = output_folder(options)
@@ -94,8 +96,7 @@ def benchmark(options: argparse.Namespace) -> int:
     )
     tables = benchmark_tables(rows, found.origin, found.failed)
     write_atomically(options.output / "tables.md", tables.encode())
-    finish_progress(options)
-    print(tables, end="")
+    report(options, {"rows": [asdict(row) for row in rows]}, (tables.rstrip(),))
     return 1 if all(row.error for row in rows) else 0
 
 
@@ -106,14 +107,14 @@ def _scaling(options: argparse.Namespace) -> int:
     from topometric_ros.io.summaries import write_atomically
 
     sizes = sizes_of(options.rooms, options.agents)
-    out, progress = options.output, steps_of(options)
+    out, progress = options.output, progress_of(options)
     known, failed = run_scaling(sizes, out, timeout=options.timeout, progress=progress)
     tables = scaling_tables(known, failed)
     write_atomically(out / "scaling.md", tables.encode())
     if known:
         write_atomically(out / "scaling.png", scaling_picture(known))
-    finish_progress(options)
-    print(tables, end="")
+    rows = [{**asdict(size), **measures} for size, measures in known.items()]
+    report(options, {"rows": rows}, (tables.rstrip(),))
     return 0 if known else 1
 
 

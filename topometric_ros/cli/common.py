@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -51,7 +52,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "that is named map, else the root of their TF tree",
     )
     command.add_argument("--seed", type=int, default=0, help="of the session ids (default 0)")
-    command.add_argument("--json", action="store_true", help="print the result on stdout as JSON")
+    add_json(command)
     add_verbose(command)
 
 
@@ -70,6 +71,11 @@ def add_cloud_arguments(command: argparse.ArgumentParser) -> None:
         metavar="M",
         help="length in metres of the unit that cloud files are in, as 0.001 for millimetres",
     )
+
+
+def add_json(command: argparse.ArgumentParser) -> None:
+    """Add the argument of every command that has a result."""
+    command.add_argument("--json", action="store_true", help="print the result on stdout as JSON")
 
 
 def add_verbose(command: argparse.ArgumentParser) -> None:
@@ -99,17 +105,15 @@ def output_folder(options: argparse.Namespace) -> Path:
 
 
 def progress_of(options: argparse.Namespace) -> Callable[[str], None]:
-    """Return what says on a terminal what is being done, and nothing in a pipe or a file."""
-    if not sys.stderr.isatty() or options.verbose:
+    """Return what says what is being done: one changing line on a terminal, lines with -v.
+
+    A pipe or a file gets nothing without -v.
+    """
+    if options.verbose:
+        return lambda text: print(text, file=sys.stderr, flush=True)
+    if not sys.stderr.isatty():
         return lambda text: None
     return lambda text: print(f"\r\033[K{text} …", end="", file=sys.stderr, flush=True)
-
-
-def steps_of(options: argparse.Namespace) -> Callable[[str], None]:
-    """Return as `progress_of`, but lines off a terminal too: for commands that run for hours."""
-    if sys.stderr.isatty() or options.verbose:
-        return progress_of(options)
-    return lambda text: print(text, file=sys.stderr, flush=True)
 
 
 def finish_progress(options: argparse.Namespace) -> None:
@@ -122,10 +126,19 @@ def report(options: argparse.Namespace, content: Mapping[str, Any], lines: Itera
     """Print the result: JSON where it was asked for, else lines for a person."""
     finish_progress(options)
     if options.json:
-        print(json.dumps(content, allow_nan=False))
+        print(json.dumps(_without_nan(content), allow_nan=False))
         return
     for line in lines:
         print(line)
+
+
+def _without_nan(value: Any) -> Any:
+    """Return JSON's null in place of what was not measured."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def warning_lines(warnings: Iterable[str]) -> list[str]:

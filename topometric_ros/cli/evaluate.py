@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from topometric_ros.cli.common import add_verbose, finish_progress, output_folder, steps_of
+from topometric_ros.cli.common import add_json, add_verbose, output_folder, progress_of, report
 
 
 def add_parser(commands: Any) -> None:
@@ -29,6 +30,7 @@ def add_parser(commands: Any) -> None:
     command.add_argument(
         "--fresh", action="store_true", help="compute all rows again, after the code has changed"
     )
+    add_json(command)
     add_verbose(command)
     command.set_defaults(command=evaluate)
 
@@ -45,7 +47,7 @@ def evaluate(options: argparse.Namespace) -> int:
     suite = read_suite(options.suite)
     if options.presets:
         suite = with_presets(suite, options.presets)
-    folder, progress = output_folder(options), steps_of(options)
+    folder, progress = output_folder(options), progress_of(options)
     if options.fresh:
         clear(folder)
     run = run_suite(suite, folder, processes=options.jobs, progress=progress)
@@ -53,9 +55,8 @@ def evaluate(options: argparse.Namespace) -> int:
     (folder / "tables.md").write_text(made, encoding="utf-8")
     html = report_html(suite.name, run.rows, run.seconds, folder, progress=progress)
     (folder / "report.html").write_text(html, encoding="utf-8")
-    finish_progress(options)
-    print(made)
-    print(f"written to {folder}")
+    content = {"suite": suite.name, "rows": [asdict(row) for row in run.rows]}
+    report(options, content, (made, f"written to {folder}"))
     return 1 if all(row.failed for row in run.rows) else 0
 
 
