@@ -220,6 +220,7 @@ def joined_late(run: Run, adopt: bool) -> dict[str, Any]:
 
     done = until(same, WORK_S)
     at, array = (same() or seen)[0]
+    whole = [t for t, m in seen if placed(m) >= placed(there) and stamp_of(m) > stamp_of(there)]
     cpu = cpu_seconds(process.pid)
     process.stop()
     run.own.node.destroy_subscription(subscription)
@@ -227,6 +228,7 @@ def joined_late(run: Run, adopt: bool) -> dict[str, Any]:
         "adopting": adopt,
         "same alignments": done and accepted(array) == accepted(there),
         "seconds from its first sight of the maps": round(at - (begin or [at])[0], 2),
+        "seconds until all agents have places": round(min(whole) - (begin or [at])[0], 2),
         "seconds from the start of its process": round(at - start, 2),
         "CPU seconds of the merger, start included": round(cpu, 2),
         "largest difference mm": round(largest_difference(there, array), 4),

@@ -90,6 +90,9 @@ def change(path: str, value: Any) -> Callable[[Any], None]:
     ("damage", "text"),
     [
         (change("schema", "topometric-map/9"), "unknown schema 'topometric-map/9'"),
+        (change("agent", ""), "agent: expected a name"),
+        (change("agent", "a\nb"), "agent: expected a name"),
+        (change("agent", 1000 * "a"), "agent: expected a name"),
         (change("voxel_count", 3), "voxels: expected"),
         (change("voxel_count", 2**32 - 1), "at most 67108864 are read"),
         (change("voxels", np.zeros(9, np.uint8)), "voxels: the packed data is damaged"),

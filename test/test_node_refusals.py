@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -45,10 +46,16 @@ def test_names_that_no_agent_can_have_are_refused_in_one_line(entry: str) -> Non
 
 def test_a_folder_is_no_state_file_and_stays_where_it_is(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
-    for path in (str(tmp_path / "maps"), "/dev/null", "a\0b", "~nobody-of-that-name/state"):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (
+        str(tmp_path / "maps"),
+        str(tmp_path / "pipe"),
+        "a\0b",
+        "~nobody-of-that-name/state",
+    ):
         with pytest.raises(ConfigurationError, match="state_file"):
             StateKeeper(path, rclpy.logging.get_logger("test"))
-    assert [path.name for path in tmp_path.iterdir()] == ["maps"]
+    assert {path.name for path in tmp_path.iterdir()} == {"maps", "pipe"}
 
 
 def test_every_call_of_a_service_gets_an_answer(node: TopometricNode, tmp_path: Path) -> None:
@@ -64,7 +71,14 @@ def test_every_call_of_a_service_gets_an_answer(node: TopometricNode, tmp_path: 
         path.write_bytes(b"a map")
         saved.append(path)
 
-    for path in ("", str(tmp_path), "a\0b", "~nobody-of-that-name/map.tmap"):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (
+        "",
+        str(tmp_path),
+        str(tmp_path / "pipe"),
+        "a\0b",
+        "~nobody-of-that-name/map.tmap",
+    ):
         response = SaveMap.Response()
         assert not services.written(path, write, response)
         assert response.code == response.FILE_ERROR

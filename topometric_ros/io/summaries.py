@@ -82,6 +82,9 @@ def write_atomically(path: Path, data: bytes, durable: bool = False) -> None:
 
     With `durable` the bytes are on the disk before the older file goes: also where the power fails.
     """
+    if path.exists() and not path.is_file():
+        # Renaming would put a file in the place of a device or a pipe.
+        raise MapFileError(f"{path}: cannot be written: a folder, a device or a pipe has that name")
     partial = path.with_name(f".{path.name}.partial")
     try:
         with partial.open("wb") as file:

@@ -65,8 +65,8 @@ def written(path: str, write: Callable[[Path], None], response: Any) -> bool:
     """Return whether a file was written, and fill in the response's code and path."""
     try:
         target = Path(path).expanduser().absolute()
-        if target.is_dir():
-            raise TopometricError("expected a file's name, got a folder's")
+        if target.exists() and not target.is_file():
+            raise TopometricError("a folder, a device or a pipe has that name")
         write(target)
     except (OSError, TopometricError, ValueError, RuntimeError) as error:
         # The last two are of names that no file can have, and of users that are not there.

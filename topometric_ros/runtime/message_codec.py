@@ -46,6 +46,7 @@ from topometric_ros.topometric_map import (
 )
 
 _SECOND = 1_000_000_000
+_LONGEST_NAME = 200
 _MASKS = ("wall", "furniture", "free", "bare")
 
 
@@ -131,11 +132,14 @@ def map_from_message(message: Any, most: int = MAXIMUM_ITEMS) -> ReceivedMap:
             ).astype(np.uint32)
         return ReceivedMap(topometric_map, observed_by, tuple(map(str, message.observers)))
     except (PackingError, MapError, ValueError, OverflowError) as error:
-        raise CodecError(f"map of {message.agent!r}: {error}") from error
+        raise CodecError(f"map of {str(message.agent)[:_LONGEST_NAME]!r}: {error}") from error
 
 
 def _check_size(message: Any, most: int) -> None:
-    """Refuse a message that unpacks to more than a reader wants to hold."""
+    """Refuse a message that names no agent or unpacks to more than a reader wants to hold."""
+    agent = str(message.agent)
+    if not agent or not agent.isprintable() or len(agent) > _LONGEST_NAME:
+        raise PackingError("agent: expected a name of up to 200 characters that can be printed")
     cells = sum(int(s.layers.cells_x) * int(s.layers.cells_y) for s in message.storeys)
     for what, count in (
         ("voxels", int(message.voxel_count)),
