@@ -10,17 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
+from test.helpers_bags import cloud, transforms
 from test.helpers_io import random_map
-from test.helpers_sessions import flat_map
+from test.helpers_sessions import flat_map, session
 from topometric_ros.alignment import Alignment, AlignmentStatus
 from topometric_ros.errors import TopometricError
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fuse_storeys import merged_layers
-from topometric_ros.io.bag_messages import message_classes
+from topometric_ros.io.bag_messages import CLOUD_TYPE, message_classes
+from topometric_ros.io.bags import Bag, BagMessage
 from topometric_ros.io.map_files import encode_map, load_map
 from topometric_ros.io.map_format import MapFileError, Section, decode, encode
 from topometric_ros.io.summaries import write_atomically
+from topometric_ros.runtime.agent_input import AgentInput
 from topometric_ros.runtime.alignment_codec import alignments_from_message
+from topometric_ros.runtime.bag_input import BagInput
+from topometric_ros.runtime.bag_sources import BagSource
 from topometric_ros.runtime.frames import published_frames
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.merger_state import MOST_ENDED, MergerState, load_state, save_state
@@ -39,8 +44,6 @@ def test_agents_whose_names_share_their_letters_get_topics_of_their_own(tmp_path
     with ReplayOutput(tmp_path / "bag", ["floor-2", "floor_2", "Floor_2"]) as output:
         for agent in ("floor-2", "floor_2", "Floor_2"):
             output.write_map(random_map(agent=agent), 5)
-    from topometric_ros.io.bags import Bag
-
     with Bag(tmp_path / "bag") as bag:
         counts = {name: topic.count for name, topic in bag.topics().items() if topic.count}
     assert counts == {f"/{t}/topometric_map": 1 for t in ("floor_2", "floor_2_", "Floor_2")}
@@ -92,6 +95,19 @@ def test_a_tracker_that_names_everything_it_sees_fills_no_memory() -> None:
         chain.add(f"f{number}", f"f{number + 1}", 1, np.eye(4), static=True)
     with pytest.raises(TransformError, match="more than 1000 frames lie above"):
         chain.map_frame("f5000")
+
+
+def test_a_bag_whose_frames_form_a_circle_is_refused_cloud_by_cloud() -> None:
+    source = BagSource("a", Path("a.bag"), "/a/cloud", CLOUD_TYPE, ())
+    reader = BagInput(source, AgentInput(session("a")))
+    ring = [("x", "y"), ("y", "z"), ("z", "x")]
+    message = transforms(*((parent, child, np.eye(4)) for parent, child in ring), stamp=1)
+    reader.agent_input.add_transforms(message, static=True)
+    reader.take(BagMessage(1, "/a/cloud", CLOUD_TYPE, cloud(np.ones((5, 3)), "x", 1)))
+    assert "form a circle" in reader.refused[0]
+    reader.take(BagMessage(2, "/a/cloud", CLOUD_TYPE, cloud(np.ones((5, 3)), "map", 2)))
+    reader.require_input()
+    assert "1 messages were refused" in reader.warnings()[0]
 
 
 def test_what_is_no_ordinary_file_is_not_read(tmp_path: Path) -> None:

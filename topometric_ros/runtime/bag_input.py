@@ -11,6 +11,7 @@ from topometric_ros.io.pointcloud2 import CloudError
 from topometric_ros.runtime.agent_input import AgentInput
 from topometric_ros.runtime.bag_sources import BagSource
 from topometric_ros.runtime.message_codec import CodecError, map_from_message
+from topometric_ros.runtime.transforms import TransformError
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
@@ -58,7 +59,7 @@ class BagInput:
                 self.map = map_from_message(entry.message).map
             else:
                 self.agent_input.add_cloud(entry.message)
-        except (CloudError, CodecError) as error:
+        except (CloudError, CodecError, TransformError) as error:
             self.refused.append(str(error))
             logger.warning("%s: a message was refused: %s", self.source.text, error)
 
