@@ -8,9 +8,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from test.helpers_io import random_map
 from test.helpers_ros import missing, private_context
+from topometric_ros.alignment import AgentPlacement, AgentStatus, Placed
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.nodes.agent_names import check_agent, parse_agents
 
@@ -21,6 +24,8 @@ import rclpy
 from topometric_msgs.srv import SaveMap, SetAlignment
 
 from topometric_ros.nodes import services
+from topometric_ros.nodes.diagnostics import Level
+from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.merger_state import StateKeeper
 from topometric_ros.nodes.running import TopometricNode
 
@@ -86,3 +91,21 @@ def test_every_call_of_a_service_gets_an_answer(node: TopometricNode, tmp_path: 
     response = SimpleNamespace(SUCCESS=0)
     assert services.written(str(tmp_path / "map.tmap"), write, response)
     assert saved == [tmp_path / "map.tmap"]
+
+
+def test_two_extractors_of_one_agent_are_told_to_the_operator() -> None:
+    placement = AgentPlacement("robot1", "", AgentStatus.ANCHOR, "", 0, np.eye(4), np.eye(4))
+    placed = Placed("global", (placement,), ())
+    newest = random_map(agent="robot1")
+    for publishers, level, text in (
+        (1, Level.OK, "anchor"),
+        (2, Level.WARN, "2 publishers on its topic; anchor"),
+    ):
+        entry = InputReport("/robot1/topometric_map", publishers=publishers, newest=newest)
+        status = MergerReport({"robot1": entry}, placed).statuses("/merger", now=0)[1]
+        assert (status.level, status.message) == (level, text)
+        assert status.values["age [s]"] == 0.0
+        assert status.values["publishers"] == publishers
+    ahead = InputReport("/robot1/topometric_map", newest=newest, arrived=10**18)
+    status = MergerReport({"robot1": ahead}, placed).statuses("/merger", now=5)[1]
+    assert status.values["age [s]"] == 0.0, "the clock was set back"
