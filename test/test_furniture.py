@@ -8,7 +8,7 @@ import pytest
 from test.helpers import box_room, moved, yaw_transform
 from topometric_ros.extraction.config import extraction_preset
 from topometric_ros.extraction.pipeline import extract
-from topometric_ros.fusion.furniture import furniture_of, laid_on, stands_as_before
+from topometric_ros.fusion.furniture import compare_furniture, furniture_of, laid_on
 from topometric_ros.fusion.surface import surface_of
 
 HALL = box_room((0.0, 0.0, 0.0), (12.0, 8.0, 2.6))
@@ -44,7 +44,9 @@ def test_furniture_of_which_two_pieces_were_moved_stands_as_before(here):
     b = furnished([(0.0, 0.0)] * 6 + [(0.5, 0.3), (-0.4, 0.6)], T=T_b_a)
     T_a_b = np.linalg.inv(T_b_a)
     assert laid(here, b, T_a_b).kept == 6
-    assert stands_as_before(here, b, T_a_b)
+    pieces = compare_furniture(here, b, T_a_b)
+    assert pieces.same
+    assert not pieces.displaced
 
 
 def test_furniture_that_was_put_down_by_hand_does_not(here):
@@ -53,11 +55,15 @@ def test_furniture_that_was_put_down_by_hand_does_not(here):
     found = laid(here, b, np.eye(4))
     assert found.fixed >= 7
     assert found.kept <= 2
-    assert not stands_as_before(here, b, np.eye(4))
+    pieces = compare_furniture(here, b, np.eye(4))
+    assert pieces.displaced
+    assert not pieces.same
 
 
 def test_a_few_pieces_say_nothing():
     one = seen(np.concatenate([HALL, box_room((4.0, 4.0, 0.0), (1.2, 0.8, 0.9))]))
     assert laid(one, one, np.eye(4)).kept == 1
-    assert not stands_as_before(one, one, np.eye(4))
+    pieces = compare_furniture(one, one, np.eye(4))
+    assert not pieces.same
+    assert not pieces.displaced
     assert laid(one, seen(HALL), np.eye(4)).fixed == 0

@@ -11,6 +11,7 @@ import pytest
 from test.helpers import yaw_transform
 from test.helpers_search import FLAT, OTHER, TWIN, building, map_of
 from topometric_ros.alignment import AlignmentStatus
+from topometric_ros.fusion.furniture import Pieces
 from topometric_ros.fusion.gates import VerificationConfig, may_be_a_twin, missed_gate, objection
 from topometric_ros.fusion.verification import confidence, decide, doubt_repeated
 from topometric_ros.matching.candidate import Candidate
@@ -209,9 +210,9 @@ def test_where_furniture_differs_the_rest_must_stand_to_the_centimetre(share, fl
         free_share=share, free_floor=floor, furniture_judged=judged,
         furniture_conflict_cells=cells, furniture_conflict=cells / judged,
     )  # fmt: skip
-    assert may_be_a_twin(e, CONFIG, lambda: False)
-    assert not may_be_a_twin(e, CONFIG, lambda: True)
-    assert not may_be_a_twin(replace(e, free_share=0.3), CONFIG, lambda: False)
+    assert may_be_a_twin(e, CONFIG, lambda: Pieces(2, 1))
+    assert not may_be_a_twin(e, CONFIG, lambda: Pieces(12, 9))
+    assert not may_be_a_twin(replace(e, free_share=0.3), CONFIG, lambda: Pieces(2, 1))
 
 
 def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
@@ -219,8 +220,15 @@ def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
         free_share=0.6, free_floor=150.0, furniture_judged=400,
         furniture_conflict_cells=50, furniture_conflict=0.125,
     )  # fmt: skip
-    assert may_be_a_twin(moved, CONFIG, lambda: False)
-    assert not may_be_a_twin(moved, replace(CONFIG, changed_furniture=True), lambda: False)
+    assert may_be_a_twin(moved, CONFIG, lambda: Pieces(2, 1))
+    assert not may_be_a_twin(moved, replace(CONFIG, changed_furniture=True), lambda: Pieces(2, 1))
+
+
+def test_furniture_that_was_put_there_anew_is_a_twin_s_even_where_no_cell_conflicts():
+    e = good(free_share=0.3, free_floor=90.0, furniture_judged=300)
+    assert may_be_a_twin(e, CONFIG, lambda: Pieces(9, 3))
+    for as_before in (Pieces(22, 17), Pieces(3, 0), Pieces(0, 0)):
+        assert not may_be_a_twin(e, CONFIG, lambda pieces=as_before: pieces)
 
 
 def test_half_of_a_small_map_is_little_where_some_furniture_stands_elsewhere():

@@ -17,7 +17,7 @@ from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, 
 from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose, fine_poses
-from topometric_ros.fusion.furniture import stands_as_before
+from topometric_ros.fusion.furniture import Pieces, compare_furniture
 from topometric_ros.fusion.gates import may_be_a_twin, missed_gate, objection, why_a_twin
 from topometric_ros.fusion.judge import FinePose, judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
@@ -146,10 +146,10 @@ def _registered(
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {refusal}")
         return replace(refused, alternatives=alternatives, score=evidence.value)
 
-    def same_furniture() -> bool:
-        return stands_as_before((a.map, a.surface), (b.map, b.surface), T)
+    def furniture() -> Pieces:
+        return compare_furniture((a.map, a.surface), (b.map, b.surface), T)
 
-    if ask_twins and may_be_a_twin(evidence, config.verification, same_furniture):
+    if ask_twins and may_be_a_twin(evidence, config.verification, furniture):
         told = why_a_twin(evidence, config.verification)
         pose = Alternative(_to_input(a, b, T), evidence.value)
         return replace(

@@ -50,6 +50,10 @@ must be that as many do by chance.
 Right poses with a fifth of the furniture moved: 4 of 4 to 50 of 61; made flats alike to the
 millimetre in part: 3 of 3 at most (docs/benchmarks.md)."""
 
+_LEFT, _DISPLACED, _FEWEST = 0.7, 0.05, 4
+"""Share of the pieces that stand where they stood between two visits at the least, and how unlikely
+it must be that as few do, of so many pieces and more: below that they were put there anew."""
+
 
 Furniture = tuple[Surface, NDArray[np.int64]]
 """Upright faces of furniture, and the number (n,) of the piece of each."""
@@ -62,11 +66,28 @@ class Pieces:
     fixed: int
     kept: int
 
+    @property
+    def same(self) -> bool:
+        """Whether more stand where they stood than in a flat furnished to the same plan."""
+        return self.fixed > 0 and 1.0 - self._as_few(self.kept - 1, _BY_CHANCE) < _SURE
 
-def stands_as_before(
+    @property
+    def displaced(self) -> bool:
+        """Whether fewer stand where they stood than moved furniture explains, if only by a hand."""
+        return self.fixed >= _FEWEST and self._as_few(self.kept, _LEFT) < _DISPLACED
+
+    def _as_few(self, count: int, share: float) -> float:
+        """Return how likely so many or fewer of the fixed pieces stand where they stood."""
+        return sum(
+            math.comb(self.fixed, k) * share**k * (1.0 - share) ** (self.fixed - k)
+            for k in range(count + 1)
+        )
+
+
+def compare_furniture(
     a: tuple[TopometricMap, Surface], b: tuple[TopometricMap, Surface], T_a_b: Transform
-) -> bool:
-    """Return whether most furniture of two maps is the same, piece by piece.
+) -> Pieces:
+    """Return how much furniture of two maps stands in the same place, piece by piece.
 
     Parameters
     ----------
@@ -77,16 +98,7 @@ def stands_as_before(
     ways = (laid_on(of_a, of_b, T_a_b), laid_on(of_b, of_a, inverse(T_a_b)))
     # Most pieces were seen by both, so each is counted twice.
     fixed = math.ceil(sum(way.fixed for way in ways) / 2)
-    kept = sum(way.kept for way in ways) // 2
-    return fixed > 0 and _chance(fixed, kept) < _SURE
-
-
-def _chance(fixed: int, kept: int) -> float:
-    """Return how likely as many of the fixed pieces or more stand alike by chance."""
-    return sum(
-        math.comb(fixed, k) * _BY_CHANCE**k * (1.0 - _BY_CHANCE) ** (fixed - k)
-        for k in range(kept, fixed + 1)
-    )
+    return Pieces(fixed, sum(way.kept for way in ways) // 2)
 
 
 def laid_on(a: Furniture, b: Furniture, T_a_b: Transform) -> Pieces:

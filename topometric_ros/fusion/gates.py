@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from topometric_ros.configuration import parameter
+from topometric_ros.fusion.furniture import Pieces
 from topometric_ros.matching.evidence import Evidence
 
 _ACROSS_ENOUGH = 2.5
@@ -239,21 +240,23 @@ def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationCo
 
 
 def may_be_a_twin(
-    e: Evidence, config: VerificationConfig, same_furniture: Callable[[], bool] = lambda: True
+    e: Evidence, config: VerificationConfig, furniture: Callable[[], Pieces] | None = None
 ) -> bool:
     """Whether two identical flats, furnished alike, would look the same.
 
     Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees, or
-    little more than a room was seen of it. Where less is shared or more conflicts,
-    `same_furniture` tells whether most of it is the same to the centimetre.
+    little more than a room was seen of it. Where less is shared or more conflicts, `furniture` is
+    asked how much of it stands in the same place to the centimetre; without it none of that counts.
     """
     small, differs = e.free_floor < config.twin_floor, _differs(e, config)
     if _is_part(e, config) or (small and differs and e.free_share >= config.twin_share):
         return True
-    moved = config.changed_furniture and not small
+    if furniture is None or (config.changed_furniture and not small):
+        return False
     otherwise = _furniture_elsewhere(e) >= _OTHERWISE and e.free_share >= _HALF * config.twin_share
     most = small and differs and e.free_share >= _PART * config.twin_share
-    return ((otherwise and not moved) or most) and not same_furniture()
+    pieces = furniture()
+    return pieces.displaced or ((otherwise or most) and not pieces.same)
 
 
 def _differs(e: Evidence, config: VerificationConfig) -> bool:
