@@ -7,8 +7,9 @@ CASES holds one folder a case, as `topometric simulate` writes them and as the r
 With candidates, weights are drawn round those of the configuration; every building is then scored
 with the candidate that is best for all other buildings, so that nothing was fitted to it. Prints
 a Markdown table: MIoU as `check/score.py` counts it, and how far the rooms of two agents agree
-where voxels of both lie within 0.1 m: the mean Jaccard index of the first agent's rooms with those
-assigned to them, and of the two rooms that hold most of each true room which both walked through.
+where both saw one surface, voxels within 0.1 m that bound one true room: the mean Jaccard index of
+the first agent's rooms with those assigned to them, and of the two rooms that hold most of each
+true room which both walked through.
 """
 
 from __future__ import annotations
@@ -136,7 +137,7 @@ def _scores(case: tuple[Agent, Agent], weights: MergingConfig) -> tuple[float, .
         room_scores(room_overlap(t, m.room), agent.walked).miou_walked
         for agent, m, t in zip(case, maps, true, strict=True)
     ]
-    return (*found, *_agreement(case, maps, true[0]))
+    return (*found, *_agreement(case, maps, true))
 
 
 def _centres(m: TopometricMap) -> NDArray[np.float64]:
@@ -156,11 +157,12 @@ def _truth(agent: Agent, m: TopometricMap) -> NDArray[np.int64]:
 
 
 def _agreement(
-    case: tuple[Agent, Agent], maps: list[TopometricMap], true: NDArray[np.int64]
+    case: tuple[Agent, Agent], maps: list[TopometricMap], true: list[NDArray[np.int64]]
 ) -> tuple[float, float]:
     """Return two mean Jaccard indices of rooms in what both saw; NaN where that is too little.
 
-    `true` (N,) are the true rooms of the first map's voxels.
+    `true` are the true rooms of the voxels (N,) of either map: two faces of a wall lie within
+    0.1 m of each other and are not one surface.
     """
     places = []
     for agent, m in zip(case, maps, strict=True):
@@ -168,7 +170,9 @@ def _agreement(
         places.append((_centres(m) @ T[:3, :3].T + T[:3, 3])[m.room >= 0])
     room_a, room_b = (m.room[m.room >= 0] for m in maps)
     distance, nearest = cKDTree(places[1]).query(places[0], distance_upper_bound=0.1)
+    true_a, true_b = (t[m.room >= 0] for t, m in zip(true, maps, strict=True))
     shared = np.isfinite(distance)
+    shared[shared] = true_a[shared] == true_b[nearest[shared]]
     if np.count_nonzero(shared) < 2 * _SMALLEST:
         return float("nan"), float("nan")
     room_a, room_b = room_a[shared], room_b[nearest[shared]]
@@ -177,11 +181,10 @@ def _agreement(
     large = {i for i, size in enumerate(overlap.true_sizes) if size >= _SMALLEST}
     pairs = {i: similarity[i, j] for i, j in assigned(similarity)}
     of_rooms = [float(pairs.get(i, 0.0)) for i in sorted(large)]
-    true = true[maps[0].room >= 0][shared]
     both = set(case[0].walked) & set(case[1].walked)
     of_both = []
     for room in sorted(both):
-        ours = true == room
+        ours = true_a[shared] == room
         if np.count_nonzero(ours) >= _SMALLEST:
             a, b = np.bincount(room_a[ours]).argmax(), np.bincount(room_b[ours]).argmax()
             common = np.count_nonzero((room_a == a) & (room_b == b))

@@ -18,6 +18,7 @@ from topometric_ros.extraction.navigation import (
 from topometric_ros.extraction.storeys import StoreyHeights
 from topometric_ros.voxels.grid import voxelise
 from topometric_ros.voxels.index import VoxelIndex
+from topometric_ros.voxels.kernels import convolve, stick_kernel
 
 CONFIG = NavigationConfig()
 
@@ -39,6 +40,15 @@ def test_a_voxel_is_obstructed_by_anything_within_the_stick_and_by_nothing_else(
         grid = grid_of(np.concatenate([floor, [[0, 0, height]]]))
         free = unobstructed(grid, CONFIG)[grid.coords[:, 2] == 0]
         assert np.count_nonzero(~free) == blocked, height
+
+
+def test_the_stick_fits_where_the_sum_over_its_kernel_is_zero() -> None:
+    cells = np.random.default_rng(3).integers(0, 12, (400, 3))
+    grid = grid_of(np.unique(cells * (1, 1, 3), axis=0).astype(np.int32))
+    stick = stick_kernel(grid.voxel_size, CONFIG.thin_height, CONFIG.wide_height, CONFIG.diameter)
+    free = unobstructed(grid, CONFIG)
+    assert 0 < np.count_nonzero(free) < len(grid)
+    np.testing.assert_array_equal(free, convolve(grid.coords, None, stick) == 0)
 
 
 def test_the_space_below_a_low_table_is_not_navigable_and_its_top_is_apart() -> None:

@@ -16,9 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
+from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.extraction.storeys import StoreyHeights
 from topometric_ros.voxels.components import connected_components
 from topometric_ros.voxels.grid import VoxelGrid
@@ -122,12 +124,54 @@ class NavigationConfig:
 
 
 def unobstructed(
-    grid: VoxelGrid, config: NavigationConfig, index: VoxelIndex | None = None
+    grid: VoxelGrid, config: NavigationConfig, columns: Columns | None = None
 ) -> NDArray[np.bool_]:
-    """Return which voxels have no other voxel within the stick kernel: (N,) bool (eq. 22)."""
+    """Return which voxels have no other voxel within the stick kernel: (N,) bool (eq. 22).
+
+    Eq. 22 sums over the kernel; whether the sum is 0 is read from the grid's `columns` instead,
+    sorted here if the caller has none, in a fifth of the time.
+    """
     stick = stick_kernel(grid.voxel_size, config.thin_height, config.wide_height, config.diameter)
-    # eq. 22 asks only whether the sum is 0, so the search may stop at the first obstruction.
-    return convolve(grid.coords, None, stick, "any", index) == 0
+    if len(grid) == 0:
+        return np.zeros(0, bool)
+    columns = sort_columns(grid.coords) if columns is None else columns
+    offsets = stick.offsets()[stick.weights > 0]
+    sides, of = np.unique(offsets[:, :2], axis=0, return_inverse=True)
+    lowest = np.full(len(sides), np.iinfo(np.int32).max, np.int32)
+    highest = np.zeros(len(sides), np.int32)
+    np.minimum.at(lowest, of.reshape(-1), offsets[:, 2])
+    np.maximum.at(highest, of.reshape(-1), offsets[:, 2])
+    place = np.full(columns.shape, -1, np.int32)
+    place[tuple(columns.cells.T)] = np.arange(len(columns.cells))
+    z = columns.z[columns.order]
+    free = np.empty(len(grid), bool)
+    free[columns.order] = _stick_fits(
+        z, columns.starts, columns.cells, place, sides, lowest, highest
+    )
+    return free
+
+
+@njit(cache=True, nogil=True)
+def _stick_fits(z, starts, cells, place, sides, lowest, highest):  # type: ignore[no-untyped-def]
+    """Which voxels, sorted by columns, have none from `lowest` to `highest` above them.
+
+    The heights hold in the column at each of the `sides` (K, 2); `place` is the column of a cell.
+    """
+    free = np.ones(len(z), np.bool_)
+    for c in range(len(cells)):
+        for k in range(len(sides)):
+            i, j = cells[c, 0] + sides[k, 0], cells[c, 1] + sides[k, 1]
+            if not (0 <= i < place.shape[0] and 0 <= j < place.shape[1]) or place[i, j] < 0:
+                continue
+            other, end = starts[place[i, j]], starts[place[i, j] + 1]
+            for own in range(starts[c], starts[c + 1]):
+                while other < end and z[other] < z[own] + lowest[k]:
+                    other += 1
+                if other == end:
+                    break
+                if z[other] <= z[own] + highest[k]:
+                    free[own] = False
+    return free
 
 
 def navigable_volume(
@@ -146,7 +190,7 @@ def navigable_volume(
     (M, 3) int32, a subset of the grid's cells in Morton order; empty if nothing can be stood on
     """
     index = VoxelIndex(grid.coords)
-    standing = grid.coords[unobstructed(grid, config, index) if free is None else free]
+    standing = grid.coords[unobstructed(grid, config) if free is None else free]
     if len(standing) == 0:
         return np.zeros((0, 3), np.int32)
     height = math.floor(config.dilation / grid.voxel_size + 0.5)

@@ -59,8 +59,7 @@ def pair_features(
     reach : cells by which pieces are extended before they are tested for touching
     """
     count = int(pieces.max())
-    numbers = np.arange(1, count + 1)
-    peak = np.asarray(ndimage.maximum(raster.clearance, pieces, numbers), dtype=np.float64)
+    peak = raster.clearance.ravel()[_peaks(raster.clearance, pieces, count)]
     pair, saddle, cells = _saddles(extended(pieces, reach), raster.clearance)
     corner, line = _openings(raster.wall, cells)
     points, owner = _samples(raster.distance, pieces, sample_step)
@@ -198,12 +197,23 @@ def _samples(
     """Return the points that look, (S, 2) cells, and their pieces (S,): a lattice and the peaks."""
     chosen = np.zeros(pieces.shape, bool)
     chosen[::step, ::step] = distance[::step, ::step] >= 1.5
-    count = int(pieces.max())
-    peaks = ndimage.maximum_position(distance, pieces, np.arange(1, count + 1))
-    chosen[tuple(np.asarray(peaks, dtype=np.int64).reshape(-1, 2).T)] = True
+    chosen.ravel()[_peaks(distance, pieces, int(pieces.max()))] = True
     chosen &= pieces > 0
     points = np.argwhere(chosen)
     return points, pieces[chosen].astype(np.int64) - 1
+
+
+@njit(cache=True, nogil=True)
+def _peaks(values, pieces, count):  # type: ignore[no-untyped-def]
+    """Flat cell of the largest value of each piece, ties by the highest (x, y): (count,) int64."""
+    peaks = np.zeros(count, np.int64)
+    highest = np.full(count, -np.inf)
+    flat = values.ravel()
+    for cell, piece in enumerate(pieces.ravel()):
+        if piece > 0 and flat[cell] >= highest[piece - 1]:
+            highest[piece - 1] = flat[cell]
+            peaks[piece - 1] = cell
+    return peaks
 
 
 @njit(cache=True, nogil=True)

@@ -134,7 +134,8 @@ def _navigable(
 ) -> NDArray[np.int32]:
     """Return the navigable volume: what was seen of it, and what closes its gaps."""
     grid, storeys, stick = scene.grid, scene.storeys, config.navigation
-    free = unobstructed(grid, stick)
+    known = scene.columns if grid.voxel_size == RASTER else None
+    free = unobstructed(grid, stick, known)
     overhead = is_overhead(scene.columns)
     if overhead.any():
         free &= scene.per_voxel(overhead.astype(np.int32)) == 0

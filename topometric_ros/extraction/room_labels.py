@@ -41,23 +41,33 @@ def label_points(
     -------
     (P,) int32, from 1, 0 none
     """
-    fine = np.floor((places + 0.5) * _PARTS).astype(np.int64)
     labels = _twice(regions)
-    faces = np.bincount(
-        np.ravel_multi_index(tuple(fine[upright].T), labels.shape), minlength=labels.size
-    ).reshape(labels.shape)
+    fine, faces, wanted = _on_fine_cells(places, upright, labels.shape)
     blocked = ndimage.binary_closing(faces >= _FEWEST, np.ones((3, 3)))
     labels = _grown(labels, _twice(wall) & ~blocked)
-    wanted = np.zeros(labels.shape, bool)
-    wanted[fine[:, 0], fine[:, 1]] = True
     nearest = _nearest(labels, wanted, reach * _PARTS)
-    found: NDArray[np.int32] = nearest[fine[:, 0], fine[:, 1]]
+    found: NDArray[np.int32] = nearest.ravel()[fine]
     return found
 
 
 def _twice(cells: NDArray) -> NDArray:  # type: ignore[type-arg]
     """Divide every cell into fine ones."""
     return np.repeat(np.repeat(cells, _PARTS, 0), _PARTS, 1)
+
+
+@njit(cache=True, nogil=True)
+def _on_fine_cells(places, upright, shape):  # type: ignore[no-untyped-def]
+    """Flat fine cell of each point (P,), upright points in each cell, and which hold any point."""
+    fine = np.empty(len(places), np.int64)
+    faces = np.zeros(shape, np.int64)
+    wanted = np.zeros(shape, np.bool_)
+    for k in range(len(places)):
+        i = int(np.floor((places[k, 0] + 0.5) * _PARTS))
+        j = int(np.floor((places[k, 1] + 0.5) * _PARTS))
+        fine[k] = i * shape[1] + j
+        faces[i, j] += upright[k]
+        wanted[i, j] = True
+    return fine, faces, wanted
 
 
 def _grown(labels: NDArray[np.int32], free: NDArray[np.bool_]) -> NDArray[np.int32]:

@@ -93,8 +93,11 @@ def bounds(points):  # type: ignore[no-untyped-def]
     result[0] = result[1] = points[0]
     for i in range(len(points)):
         for axis in range(points.shape[1]):
-            result[0, axis] = min(result[0, axis], points[i, axis])
-            result[1, axis] = max(result[1, axis], points[i, axis])
+            value = points[i, axis]
+            if value < result[0, axis]:
+                result[0, axis] = value
+            elif value > result[1, axis]:
+                result[1, axis] = value
     return result
 
 
