@@ -36,7 +36,7 @@ SIMULATION = ROOT / "docs" / "simulation.md"
 def files() -> dict[Path, str]:
     """Return every generated file's path and content."""
     extractor = (ExtractorNodeConfig(), extraction_preset("default"))
-    merger = (MergerNodeConfig(agents=("/robot1", "/robot2")), merge_preset("default"))
+    merger = (MergerNodeConfig(), merge_preset("default"))
     contents = {
         ROOT / "config" / "extractor.yaml": node_file("extractor", extractor),
         ROOT / "config" / "merger.yaml": node_file("merger", merger),

@@ -45,7 +45,7 @@ def test_a_preset_file_is_the_preset(preset: str) -> None:
     ("node", "own", "stage"),
     [
         ("extractor", ExtractorNodeConfig(), extraction_preset("default")),
-        ("merger", MergerNodeConfig(agents=("/robot1", "/robot2")), merge_preset("default")),
+        ("merger", MergerNodeConfig(), merge_preset("default")),
     ],
 )
 def test_a_node_file_names_every_parameter_once(node: str, own: object, stage: object) -> None:

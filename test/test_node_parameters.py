@@ -188,4 +188,4 @@ def test_a_dump_of_all_parameters_starts_the_node_again_and_so_does_the_file_tha
     file.write_text(yaml.safe_dump(content))
     assert declared("--params-file", str(file)) == (configs, content)
     shipped = Path(__file__).parent.parent / "config" / f"{name}.yaml"
-    assert declared("--params-file", str(shipped))[0][1] == stage
+    assert declared("--params-file", str(shipped))[0] == (own, stage)
