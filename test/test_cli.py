@@ -212,6 +212,12 @@ def test_wrong_settings_end_with_status_2(
     ]
     line = fails(["extract", f"my robot={clouds / 'a.npy'}", "-o", tmp_path], capsys)
     assert "agent 'my robot': expected letters" in line
+    prior = "between: [a, bob], position: [0, 0, 0], yaw: 0"
+    both = [f"a={clouds / 'a.npy'}", f"b={clouds / 'b.npy'}"]
+    line = fails(["merge", *both, "-o", tmp_path / "m", "--prior", prior], capsys)
+    assert "--prior: the prior of a and bob names bob; agents are a, b" in line
+    line = fails(["extract", clouds / "a.npy", "-o", tmp_path, "--agent", "../a"], capsys)
+    assert "agent '../a': expected letters" in line
     (tmp_path / "loop.yaml").write_text("extraction: &a {level: *a}")
     line = fails([*base, "--config", tmp_path / "loop.yaml"], capsys)
     assert "refers to what holds it" in line

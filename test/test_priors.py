@@ -17,11 +17,13 @@ from test.helpers_matching import (
     T_BUILDING_B,
     agent_map,
 )
-from topometric_ros.alignment import AlignmentStatus
+from test.helpers_sessions import flat_map
+from topometric_ros.alignment import Alignment, AlignmentStatus
 from topometric_ros.configuration import with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.align import align
 from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.fusion.merge import place
 from topometric_ros.fusion.poses import inverse
 from topometric_ros.fusion.priors import contradicted, parse_priors, prior_between, reversed_prior
 
@@ -85,6 +87,24 @@ def test_a_prior_that_says_nothing_is_told_in_one_line(text: str, told: str) -> 
         with_values(MergeConfig(), {"priors": [text]})
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_prior_of_nobody_is_told() -> None:
+    priors = [
+        "{between: [alise, b], position: [0, 0, 0], yaw: 0}",
+        "{agent: b, in: site, position: [0, 0, 0], yaw: 0, name: marker 7}",
+        "{agent: a, in: sight, position: [0, 0, 0], yaw: 0}",
+        "{agent: a, in: b, position: [0, 0, 0], yaw: 0, sigma: 100, yaw_sigma: 180}",
+    ]
+    a, b = (flat_map("a"), flat_map("b"))
+    alone = Alignment(("a", "b"), AlignmentStatus.NONE, "-")
+    placed = place([a, b], with_values(MergeConfig(), {"priors": priors}), {("a", "b"): alone})
+    assert placed.warnings[:3] == (
+        "the prior of alise and b names alise; agents are a, b",
+        "the marker 7 tells nothing: no other agent has one in site",
+        "the prior of sight and a tells nothing: no other agent has one in sight",
+    )
+    assert not any("the prior of b and a" in told for told in placed.warnings)
 
 
 def test_a_right_prior_lets_a_right_alignment_pass() -> None:

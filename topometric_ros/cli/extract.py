@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from typing import Any
 
 from topometric_ros.cli.common import (
@@ -46,12 +47,12 @@ def extract(options: argparse.Namespace) -> int:
         write_rooms_ply,
     )
     from topometric_ros.io.trajectories import write_trajectories
-    from topometric_ros.runtime.bag_sources import parse_source
+    from topometric_ros.runtime.bag_sources import parse_source, require_name
     from topometric_ros.runtime.sources import load_source
 
     source = parse_source(options.cloud)
-    if options.agent:
-        source = type(source)(source.path, options.agent, source.topic)
+    if options.agent is not None:
+        source = dataclasses.replace(source, agent=require_name(options.agent))
     config = config_of(options)
     loaded = load_source(source, config, inputs_of(options), progress_of(options))
     folder = output_folder(options)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class MergeArgumentError(TopometricError):
-    """Too few agents to merge."""
+    """Too few agents to merge, or a prior of none of them."""
 
 
 def add_parser(commands: Any) -> None:
@@ -59,20 +59,24 @@ def add_parser(commands: Any) -> None:
 def merge(options: argparse.Namespace) -> int:
     """Load every source, merge the maps and write the result."""
     from topometric_ros.fusion.merge import merge as merge_maps
-    from topometric_ros.fusion.priors import parse_priors
+    from topometric_ros.fusion.priors import parse_priors, pointless
     from topometric_ros.io.merge_files import merge_summary
     from topometric_ros.io.summaries import rounded_timings
-    from topometric_ros.runtime.sources import load_sources
+    from topometric_ros.runtime.sources import load_source, named_sources
 
     if len(options.sources) < 2:
         raise MergeArgumentError(
             f"merging takes at least two sources, got {len(options.sources)}: {options.sources[0]}"
         )
     config, progress = config_of(options), progress_of(options)
-    priors = (*config.merge.priors, *(f"{{{text.strip('{} ')}}}" for text in options.prior))
+    of_file = config.merge.priors
+    priors = (*of_file, *(f"{{{text.strip('{} ')}}}" for text in options.prior))
     config = dataclasses.replace(config, merge=dataclasses.replace(config.merge, priors=priors))
-    parse_priors(priors)
-    loaded = load_sources(options.sources, config, inputs_of(options), progress)
+    named = named_sources(options.sources)
+    for index, told in pointless(parse_priors(priors), [source.agent or "" for source in named]):
+        if index >= len(of_file):
+            raise MergeArgumentError(f"--prior: {told}")
+    loaded = [load_source(source, config, inputs_of(options), progress) for source in named]
     timings: dict[str, float] = {}
     for entry in loaded:
         for stage, seconds in entry.timings.items():

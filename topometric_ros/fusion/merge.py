@@ -27,7 +27,7 @@ from topometric_ros.fusion.fuse import fuse
 from topometric_ros.fusion.groups import Groups, group_agents
 from topometric_ros.fusion.poses import Transform, apply, inverse
 from topometric_ros.fusion.prepared import Prepared
-from topometric_ros.fusion.priors import Prior, contradicted, parse_priors
+from topometric_ros.fusion.priors import Prior, contradicted, parse_priors, pointless
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
@@ -114,6 +114,7 @@ def place(
         _given(fixed or {}, pair) or _given(known, pair)
         for pair in itertools.combinations(agents, 2)
     ]
+    strange = (told for _, told in pointless(priors, agents))
     by_hand = frozenset(pair for x, y in (fixed or {}) for pair in ((x, y), (y, x)))
     levels = {m.agent: m.T_level_input for m in maps}
     groups = group_agents(
@@ -124,7 +125,7 @@ def place(
         global_frame=config.global_frame,
         agents=places,
         alignments=groups.alignments,
-        warnings=(*_warnings(maps), *_contradicted(places, priors)),
+        warnings=(*_warnings(maps), *strange, *_contradicted(places, priors)),
     )
 
 

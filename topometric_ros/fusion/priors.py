@@ -45,6 +45,7 @@ class Prior:
 
     `T` (4, 4) float64, m, is T_target_source; `covariance` (6, 6) over (x, y, z, roll, pitch, yaw)
     in m and rad as that of an alignment; `alone` says that it holds where the maps tell nothing.
+    `agents` are those of the two frames that were said to be agents' own.
     """
 
     target: str
@@ -53,6 +54,7 @@ class Prior:
     covariance: NDArray[np.float64]
     alone: bool = False
     name: str = "prior"
+    agents: tuple[str, ...] = ()
 
     def allows(self, T: Transform) -> bool:
         """Whether a transform of the same two frames may be the right one, by this prior."""
@@ -94,6 +96,18 @@ def prior_between(priors: Sequence[Prior], a: str, b: str) -> Prior | None:
         if (p.source, q.source) == (a, b) and p.target == q.target
     ]
     return min(found, key=lambda p: float(np.trace(p.covariance[:3, :3])), default=None)
+
+
+def pointless(priors: Sequence[Prior], agents: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """Yield which priors tell nothing of `agents`, as where one is misspelt, and why in words."""
+    known = ", ".join(agents)
+    for index, prior in enumerate(priors):
+        strange = [name for name in prior.agents if name not in agents]
+        if strange:
+            yield index, f"the {prior.name} names {' and '.join(strange)}; agents are {known}"
+        elif prior.target not in agents and [p.target for p in priors].count(prior.target) == 1:
+            told = f"the {prior.name} tells nothing: no other agent has one in {prior.target}"
+            yield index, told
 
 
 def reversed_prior(prior: Prior) -> Prior:
@@ -166,7 +180,9 @@ def _parsed(text: str) -> Prior:
     else:
         covariance = np.diag([sigma, sigma, sigma, turn, turn, turn]) ** 2
     name = str(tree.get("name", f"prior of {target} and {source}"))
-    return Prior(target, source, _pose(tree, where), covariance, tree.get("alone") is True, name)
+    own = (target, source) if "between" in tree else (source,)
+    alone = tree.get("alone") is True
+    return Prior(target, source, _pose(tree, where), covariance, alone, name, own)
 
 
 def _frames(tree: Mapping[str, Any], where: str) -> tuple[str, str]:

@@ -8,9 +8,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from topometric_ros.configuration import parameter
+from topometric_ros.errors import ConfigurationError
 from topometric_ros.extraction.config import PRESETS
 from topometric_ros.matching.config import DescriptorConfig
 from topometric_ros.nodes.agent_names import parse_agents
+from topometric_ros.runtime.bag_sources import SourceError, require_name
+
+
+def _name_or_nothing(agent: str) -> None:
+    """Refuse a name that no file or topic could carry."""
+    try:
+        require_name(agent or "agent")
+    except SourceError as error:
+        raise ConfigurationError(str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -24,7 +34,9 @@ class DescribingConfig:
 class ExtractorNodeConfig:
     """The extractor's input, identity and pace."""
 
-    agent: str = parameter("", "Short id of the agent; empty: the node's namespace.")
+    agent: str = parameter(
+        "", "Short id of the agent; empty: the node's namespace.", rule=_name_or_nothing
+    )
     preset: str = parameter(
         "default", "Defaults of all parameters of the extraction.", choices=PRESETS
     )

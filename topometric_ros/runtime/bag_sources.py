@@ -18,7 +18,8 @@ from topometric_ros.io.bags import Bag, TopicInfo, split_source
 
 logger = logging.getLogger(__name__)
 
-_NAMED = re.compile(r"^([A-Za-z0-9_][A-Za-z0-9_.-]*)=(.+)$", re.DOTALL)
+_AGENT = r"[A-Za-z0-9_][A-Za-z0-9_.-]*"
+_NAMED = re.compile(rf"^({_AGENT})=(.+)$", re.DOTALL)
 _OUR_OUTPUTS = ("rooms", "global_cloud", "global_map")
 """Topics that extractors and mergers publish for people, which are nobody's input."""
 
@@ -73,11 +74,18 @@ def parse_source(text: str) -> Source:
     named = None if Path(text).exists() else _NAMED.match(text)
     agent, _, source = text.partition("=")
     if named is None and not Path(text).exists() and source and Path(source).exists():
+        require_name(agent)
+    path, topic = split_source(named.group(2) if named else text)
+    return Source(path, named.group(1) if named else None, topic)
+
+
+def require_name(agent: str) -> str:
+    """Return an agent's name; raises SourceError where it is none."""
+    if not re.fullmatch(_AGENT, agent):
         raise SourceError(
             f"agent {agent!r}: expected letters, digits, '_', '-' and '.', the last two not first"
         )
-    path, topic = split_source(named.group(2) if named else text)
-    return Source(path, named.group(1) if named else None, topic)
+    return agent
 
 
 def namespace_of(topic: str) -> str:

@@ -86,10 +86,15 @@ def load_sources(
     TopometricError
         A source cannot be read, or two of them have one name.
     """
+    options = options or InputOptions()
+    return [load_source(source, config, options, progress) for source in named_sources(texts)]
+
+
+def named_sources(texts: Sequence[str]) -> list[Source]:
+    """Return every source with its agent's id, all distinct; raises as :func:`load_sources`."""
     sources = [_named(parse_source(text)) for text in texts]
     require_distinct([source.agent or "" for source in sources])
-    options = options or InputOptions()
-    return [load_source(source, config, options, progress) for source in sources]
+    return sources
 
 
 def load_source(
