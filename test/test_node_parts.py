@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 from test.helpers_ros import missing, private_context
-from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Placed
+from topometric_ros.alignment import (
+    AgentPlacement,
+    AgentStatus,
+    Alignment,
+    AlignmentStatus,
+    Alternative,
+    Change,
+    GlobalMap,
+    MergeResult,
+    Placed,
+)
 from topometric_ros.topometric_map import Passage, Room, Storey, StoreyLayers, TopometricMap
 
 if missing():
@@ -28,7 +38,9 @@ from visualization_msgs.msg import Marker
 from topometric_ros.nodes import qos, tf
 from topometric_ros.nodes.diagnostics import Level, Status, to_message
 from topometric_ros.nodes.markers import map_markers
+from topometric_ros.nodes.merger_output import MergerOutput
 from topometric_ros.nodes.merger_report import InputReport, MergerReport
+from topometric_ros.nodes.messages import message_classes
 from topometric_ros.nodes.running import TopometricNode, spin
 from topometric_ros.nodes.worker import Inbox, Worker
 
@@ -158,6 +170,24 @@ def test_markers_show_every_room_and_passage_in_the_agents_own_frame() -> None:
     (edges,) = (m for m in markers if m.ns == "edges")
     assert [(p.x, p.z) for p in edges.points] == [(0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (0.5, 1.0)]
     assert {m.header.frame_id for m in markers} == {"a/map"}
+
+
+def test_what_has_changed_between_visits_is_told_live(context: Any) -> None:
+    node = TopometricNode("changes", context=context, use_global_arguments=False)
+    agents = tuple(
+        AgentPlacement(name, name, AgentStatus.ALIGNED, "", 0, np.eye(4), np.eye(4))
+        for name in ("monday", "today")
+    )
+    change = Change(0, 1, gone=True, ordered=True, points=np.zeros((40, 3)))
+    fused = GlobalMap(tilted_map(), np.ones(2, np.uint32), changes=(change,))
+    told = MergerOutput(node, message_classes()).publish_map(
+        MergeResult("global", agents, (), fused), -1
+    )
+    line = "changed: 40 voxels of monday stand where today saw the bare floor (older, so they are"
+    assert [text.startswith(line) for text in told] == [True]
+    report = MergerReport(placed=Placed("global", agents, ()), changes=told)
+    assert report.statuses("merger", 0)[0].values["change 1"] == told[0]
+    node.destroy_node()
 
 
 def test_the_mergers_own_transforms_do_not_move_an_agents_map() -> None:

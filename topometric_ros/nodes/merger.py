@@ -249,8 +249,9 @@ class Merger(TopometricNode):
                 self._fuse()
             fused = True
         elif self.session.result is not None and self._storey != self._own.grid_storey:
-            self._show_storey()
-        return not (told and fused)
+            self._storey = self._own.grid_storey
+            self._out.publish_grid(self.session.result, self._storey)
+        return not (told and fused and self._told)
 
     def _shown(self) -> Shown:
         return Shown.of(self.session, sorted({*self.session.stale, *self._stale}))
@@ -259,18 +260,16 @@ class Merger(TopometricNode):
         self._told = self._shown().alignments
         if self.session.placed is not None:
             stale = sorted({*self.session.stale, *self._stale})
-            self._out.publish_alignments(self.session.placed, self.session.maps, stale)
+            changes = self.report.changes
+            self._out.publish_alignments(self.session.placed, self.session.maps, stale, changes)
         self.remember()
 
     def _fuse(self) -> None:
         self._fused = self._shown()
         self._storey = self._own.grid_storey
-        self._out.publish_map(self.session.fuse(), self._storey)
-
-    def _show_storey(self) -> None:
-        self._storey = self._own.grid_storey
-        if self.session.result is not None:
-            self._out.publish_grid(self.session.result, self._storey)
+        changes = self._out.publish_map(self.session.fuse(), self._storey)
+        if changes != self.report.changes:
+            self.report.changes, self._told = changes, None
 
     def merge(self) -> None:
         """Align all that waits, fuse and publish; raises what the session raises."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from topometric_msgs.msg import TopometricMap as MapMessage
 from visualization_msgs.msg import MarkerArray
 
 from topometric_ros.alignment import MergeResult, Placed
+from topometric_ros.fusion.changes import told
 from topometric_ros.nodes import qos
 from topometric_ros.nodes.grids import GridError, storey_grid
 from topometric_ros.nodes.markers import map_markers
@@ -78,9 +79,13 @@ class MergerOutput:
         self._markers = node.create_publisher(MarkerArray, "global_markers", qos.SNAPSHOT)
         self._own: deque[Hashable] = deque(maxlen=_OWN_REMEMBERED)
         self._grid_failure = ""
+        self._changes_said: set[Hashable] = set()
 
-    def publish_map(self, result: MergeResult, grid_storey: int) -> None:
-        """Publish the global map, as message, cloud, markers and grid of a storey."""
+    def publish_map(self, result: MergeResult, grid_storey: int) -> tuple[str, ...]:
+        """Publish the global map, as message, cloud, markers and grid of a storey.
+
+        Return in words what has changed between the agents' visits; it is logged once a pair.
+        """
         fused = result.global_map
         observers = tuple(agent.id for agent in result.agents)
         stamp = Time(nanoseconds=fused.map.stamp).to_msg()
@@ -88,11 +93,27 @@ class MergerOutput:
         self._cloud.publish(map_cloud(fused.map, self._classes, fused.map.stamp, fused.agents))
         self._markers.publish(map_markers(fused.map, stamp))
         self.publish_grid(result, grid_storey)
+        changes = tuple(told(fused.changes, observers))
+        for change, line in zip(fused.changes, changes, strict=True):
+            pair = (observers[change.holder], observers[change.witness])
+            said = (*pair, change.gone, change.ordered)
+            if said not in self._changes_said:
+                self._node.get_logger().info(line)
+            self._changes_said.add(said)
+        return changes
 
     def publish_alignments(
-        self, placed: Placed, maps: Mapping[str, TopometricMap], stale: Sequence[str]
+        self,
+        placed: Placed,
+        maps: Mapping[str, TopometricMap],
+        stale: Sequence[str],
+        changes: Sequence[str] = (),
     ) -> None:
-        """Publish where the agents stand; `maps` are those that the alignments are of."""
+        """Publish where the agents stand; `maps` are those that the alignments are of.
+
+        What has changed between visits is told with the warnings.
+        """
+        placed = replace(placed, warnings=(*placed.warnings, *changes))
         now = self._node.get_clock().now().nanoseconds
         message = alignments_to_message(placed, self._classes, now, maps, stale)
         self._own.append(_mark(message))

@@ -62,6 +62,8 @@ class MergerReport:
     since: dict[tuple[str, str], int] = field(default_factory=dict)
     """When the present verdict on each pair was come to, ns."""
     failure: str = ""
+    changes: tuple[str, ...] = ()
+    """What has changed between the agents' visits, in words."""
     unsaved: str = ""
     """Why the state could not be written, if so."""
     gone: dict[str, float] = field(default_factory=dict)
@@ -90,6 +92,7 @@ class MergerReport:
         text = f"{placed} of {len(self.inputs)} agents in the global map"
         values = {"global frame": self.placed.global_frame, "pairs waiting": self.waiting}
         values |= self.placed.timings
+        values |= {f"change {i}": line for i, line in enumerate(self.changes, 1)}
         if self.placed.warnings:
             text = f"{text}; {self.placed.warnings[0]}"
         if self.unsaved:
