@@ -54,7 +54,7 @@ class LayersConfig:
         2.05, "Upper end of the band that walls fill.", unit="m", minimum=0.5, maximum=2.5
     )
     wall_bins: int = parameter(
-        4, "Occupied 5 cm bins of that band that make a cell a wall.", minimum=1, maximum=30
+        4, "Occupied 5 cm bins of the walls' band that make a cell a wall.", minimum=1, maximum=30
     )
     furniture_bottom: float = parameter(
         0.2, "Lower end of the band that furniture fills.", unit="m", minimum=0.05, maximum=1.0

@@ -93,13 +93,13 @@ class NavigationConfig:
         0.0,
         "Larger level patches at the height of a storey's ceiling are no floor, nor are smaller "
         "components that come near no storey's floor; 0 keeps all.",
-        unit="m^2",
+        unit="m²",
         minimum=0.0,
     )
     smallest_area: float = parameter(
         1.0,
         "Smallest area of a component that is kept where all are.",
-        unit="m^2",
+        unit="m²",
         minimum=0.0,
     )
     gap: float = parameter(
@@ -112,7 +112,8 @@ class NavigationConfig:
     )
     roofed_gap: float = parameter(
         0.0,
-        "Widest such hole with a ceiling above all of it.",
+        "Widest hole in the floor that is closed alike where a ceiling is above all of it; "
+        "0 closes none.",
         unit="m",
         minimum=0.0,
         maximum=10.0,

@@ -47,13 +47,14 @@ class StoreyConfig:
     )
     walled: float = parameter(
         0.5,
-        "Walls and furniture above a floor that small, in voxels over those of the floor.",
+        "Walls and furniture above a floor below `smallest_share` that make it a storey, in "
+        "voxels over those of the floor.",
         minimum=0.0,
         maximum=10.0,
     )
     storey_height: float = parameter(
         2.4,
-        "Smallest height between a floor that small and other floors: landings lie between.",
+        "Smallest height between a floor below `smallest_share` and others: landings lie between.",
         unit="m",
         minimum=1.0,
         maximum=5.0,

@@ -74,8 +74,8 @@ class VerificationConfig:
         1.5, "Wall in common that must run across the main direction.", unit="m", minimum=0.0
     )
     across_share: float = parameter(
-        0.2, "The same as a share of the wall along it; not asked for from 2.5 m on.", minimum=0.0,
-        maximum=1.0,
+        0.2, "Wall in common that must run across the main direction, as a share of the wall along "
+        "it; from 2.5 m across on no more is asked for.", minimum=0.0, maximum=1.0,
     )  # fmt: skip
     slide_cost: float = parameter(
         0.5, "Share of the score that a slide along the walls must cost where less of them runs "
@@ -87,8 +87,8 @@ class VerificationConfig:
         "the lower bound of the share counts.", minimum=0.0, maximum=1.0,
     )  # fmt: skip
     furniture_conflict: float = parameter(
-        0.15, "Share of judged furniture cells that may stand on the other's bare floor, likewise.",
-        minimum=0.0, maximum=1.0,
+        0.15, "Share of judged furniture cells that may stand on the other's bare floor, beyond "
+        "doubt: the lower bound of the share counts.", minimum=0.0, maximum=1.0,
     )  # fmt: skip
     furniture_judged: int = parameter(
         15, "Furniture cells from which their conflict counts.", minimum=0
@@ -112,26 +112,28 @@ class VerificationConfig:
         "flat; above 1: never.", minimum=0.0, maximum=2.0,
     )  # fmt: skip
     twin_furniture: float = parameter(
-        0.005, "Furniture in conflict from which that is held possible.", minimum=0.0, maximum=1.0
-    )
+        0.005, "Share of the furniture in conflict from which the smaller map may be of another, "
+        "identical flat.", minimum=0.0, maximum=1.0,
+    )  # fmt: skip
     twin_floor: float = parameter(
-        120.0, "Floor in common from which it is no flat: whole floors have no twin that is "
-        "furnished like them.", unit="m²", minimum=0.0,
+        120.0, "Floor in common from which the maps are of no flat: whole floors have no twin "
+        "that is furnished like them.", unit="m²", minimum=0.0,
     )  # fmt: skip
     twin_part: float = parameter(
         35.0, "Floor in common below which a map that lies in the other for the most part may be a "
         "part of an identical flat, whatever the furniture; 0: never.", unit="m²", minimum=0.0,
     )  # fmt: skip
     repeated_floor: float = parameter(
-        70.0, "Floor in common below which it must not look like another part of the maps: a room "
-        "or two.", unit="m²", minimum=0.0,
+        70.0, "Floor in common below which it must not fit another part of the maps too: a room or "
+        "two may repeat.", unit="m²", minimum=0.0,
     )  # fmt: skip
     repeated_part: float = parameter(
-        0.3, "Part of the smaller map's floor below which the same is asked: the rest of that map "
-        "says little about where it lies.", minimum=0.0, maximum=1.0,
+        0.3, "Part of the smaller map's floor in common below which that must not fit another part "
+        "of the maps either.", minimum=0.0, maximum=1.0,
     )  # fmt: skip
     repeated_share: float = parameter(
-        0.4, "How well such a part may fit elsewhere, as a share of how it fits there.",
+        0.4, "How well a small part in common may fit elsewhere too, as a share of how it "
+        "fits here.",
         minimum=0.0, maximum=10.0,
     )  # fmt: skip
     changed_furniture: bool = parameter(

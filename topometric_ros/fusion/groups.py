@@ -37,7 +37,7 @@ class GroupsConfig:
     cycle_angle: float = parameter(
         3.0,
         "Largest turn between an alignment and what the others make of it.",
-        unit="degree",
+        unit="deg",
         minimum=0.001,
         maximum=180.0,
     )

@@ -48,8 +48,9 @@ class NonRigidConfig:
         "with the root of the way.", unit="m", minimum=0.0001, maximum=1.0,
     )  # fmt: skip
     yaw_drift: float = parameter(
-        0.3, "The same of the heading.", unit="deg", minimum=0.001, maximum=10.0
-    )
+        0.3, "Standard deviation of the heading's drift over the first metre between two rooms; it "
+        "grows with the root of the way.", unit="deg", minimum=0.001, maximum=10.0,
+    )  # fmt: skip
     part: float = parameter(
         5.0, "Rooms longer than this are cut into parts that move on their own.", unit="m",
         minimum=1.0, maximum=1000.0,

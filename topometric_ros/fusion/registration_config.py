@@ -62,7 +62,7 @@ class RegistrationConfig:
     points: int = parameter(
         8000, "Points drawn from what the source shares with the target.", minimum=100
     )
-    seed: int = parameter(0, "Seed of that draw.", minimum=0)
+    seed: int = parameter(0, "Seed of the draw of the source's points.", minimum=0)
     normals_cosine: float = parameter(
         0.6, "Smallest cosine between the normals of a pair.", minimum=0.0, maximum=1.0
     )
@@ -80,7 +80,7 @@ class RegistrationConfig:
     gravity_deviation: float = parameter(
         0.3,
         "Standard deviation of roll and pitch, which are taken from the agents and not estimated.",
-        unit="degree",
+        unit="deg",
         minimum=0.0,
         maximum=10.0,
     )

@@ -37,14 +37,20 @@ class DescriptorConfig:
     )
     neighbourhood: str = parameter(
         "moore",
-        "Neighbours of a voxel in that graph: von_neumann (6) or moore (26).",
+        "Neighbours of a voxel in the neighbourhood graph: von_neumann (6) or moore (26).",
         choices=("von_neumann", "moore"),
     )
     eigenvalues: int = parameter(
-        32, "Number of non-zero eigenvalues that are kept.", minimum=1, maximum=64
+        32,
+        "Number of non-zero eigenvalues of the neighbourhood graph that are kept.",
+        minimum=1,
+        maximum=64,
     )
     spectral_cell: float = parameter(
-        0.3, "Edge of the cells of that graph, at least a voxel.", unit="m", minimum=0.02
+        0.3,
+        "Edge of the cells of the neighbourhood graph, at least a voxel.",
+        unit="m",
+        minimum=0.02,
     )
     spectral_nodes: int = parameter(
         5000, "Cells are doubled until a room has no more of them than this.", minimum=100
