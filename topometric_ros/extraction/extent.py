@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from topometric_ros.extraction.errors import ExtractionError
-from topometric_ros.extraction.quality import Finding
+from topometric_ros.extraction.quality import USE_SCALE, Finding
 from topometric_ros.extraction.surfaces import likely_unit
 from topometric_ros.voxels.grid import bounds
 
@@ -137,7 +137,7 @@ def _question(points: NDArray[np.float64]) -> str:
     if unit is None:
         return "is it in metres (--scale), without points far outside the building?"
     name, length, height = unit
-    return f"in {name} its rooms would be {height:.2g} m high; use --scale {length:g}"
+    return f"in {name} its rooms would be {height:.2g} m high; {USE_SCALE} {length:g}"
 
 
 def _strays(dropped: int, total: int) -> Finding:

@@ -13,6 +13,9 @@ from typing import Any
 
 import numpy as np
 
+USE_SCALE = "use --scale"
+"""What every warning of a unit says to do; merging knows by it which map was warned of."""
+
 _ROOM_HEIGHTS = (1.9, 6.0)
 """Free heights that call for no question, m."""
 
@@ -166,10 +169,10 @@ def _scale(quality: Quality, unit: tuple[str, float, float] | None) -> Iterator[
     if unit is not None:
         name, length, in_unit = unit
         message = f"most free heights are {height:.3g} m, but {in_unit:.2g} m if it is in {name}"
-        yield Finding("scale", "warning", message, f"use --scale {length:g} if it is")
+        yield Finding("scale", "warning", message, f"{USE_SCALE} {length:g} if it is")
     elif not _ROOM_HEIGHTS[0] <= height <= _TALLEST_HALL:
         message = f"most free heights are {height:.3g} m, which rooms seldom have"
-        yield Finding("scale", "warning", message, "if it is not in metres, use --scale")
+        yield Finding("scale", "warning", message, f"if it is not in metres, {USE_SCALE}")
 
 
 def _upside_down(upside_down: bool) -> Iterator[Finding]:

@@ -20,6 +20,9 @@ from topometric_ros.matching.evidence import evaluate, refine
 _NEAR = (1.0, np.radians(15.0))
 """Standard deviations (m, rad) up to which a prior tells a place from its twin elsewhere."""
 
+_CONTRADICTION = "one of the two is wrong"
+"""What the reason says where maps and prior contradict each other; no prior decides there alone."""
+
 _CONFLICT_CELLS = 20
 """Wall cells in the other's free floor from which the maps contradict a prior."""
 
@@ -54,7 +57,7 @@ def decide_by_prior(
     if decision.status is AlignmentStatus.ACCEPTED and decision.best is not None:
         T = _of_input(judged[decision.best][0].T_a_b, a, b)
         if not prior.allows(T):
-            reason = f"the maps fit {prior.told(T)}: one of the two is wrong ({decision.reason})"
+            reason = f"the maps fit {prior.told(T)}: {_CONTRADICTION} ({decision.reason})"
             refused = replace(decision, status=AlignmentStatus.REJECTED, reason=reason)
             return list(judged), replace(refused, confidence=0.0)
     spread = np.sqrt(np.diag(prior.covariance))
@@ -80,9 +83,9 @@ def with_prior(
     if alignment.accepted and alignment.T_a_b is not None:
         if prior.allows(alignment.T_a_b):
             return alignment
-        told = f"the maps fit {prior.told(alignment.T_a_b)}: one of the two is wrong"
+        told = f"the maps fit {prior.told(alignment.T_a_b)}: {_CONTRADICTION}"
         return Alignment(alignment.agents, AlignmentStatus.REJECTED, told)
-    if not prior.alone or "one of the two is wrong" in alignment.reason:
+    if not prior.alone or _CONTRADICTION in alignment.reason:
         return alignment
     T = _planar(level_frames(prior.T, a.map.T_level_input, b.map.T_level_input))
     evidence = evaluate(a.fields, b.fields, T, config.search.scoring)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from topometric_ros.extraction.quality import USE_SCALE
 from topometric_ros.fusion.icp import UP, gates_of, jacobian, pairs_of, shared_part
 from topometric_ros.fusion.poses import Transform, apply, turned
 from topometric_ros.fusion.registration_config import RegistrationConfig, RegistrationError
@@ -63,7 +64,7 @@ def unlike_scale(a: TopometricMap, b: TopometricMap) -> str | None:
 
 def _warned(a: TopometricMap, b: TopometricMap) -> str | None:
     """Return what was told of the scale when one of the maps was made, and not of the other."""
-    told = [next((w for w in m.warnings if "use --scale" in w), None) for m in (a, b)]
+    told = [next((w for w in m.warnings if USE_SCALE in w), None) for m in (a, b)]
     odd = [(m, w) for m, w in zip((a, b), told, strict=True) if w is not None]
     return f"{odd[0][0].agent}: {odd[0][1]}" if len(odd) == 1 else None
 
@@ -87,7 +88,7 @@ def _by_heights(a: TopometricMap, b: TopometricMap) -> str | None:
     if unit is None:
         return f"{told}: the maps seem to be of unlike scale; see --scale"
     return (
-        f"{told}: {odd.agent} seems to be in {unit}; use --scale {_UNITS[unit]:g} for it if it is"
+        f"{told}: {odd.agent} seems to be in {unit}; {USE_SCALE} {_UNITS[unit]:g} for it if it is"
     )
 
 
