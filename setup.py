@@ -70,11 +70,13 @@ setup(
         "learned": ["onnxruntime>=1.20"],
         "train": ["torch>=2.6", "onnx>=1.17"],
         "las": ["laspy[lazrs]>=2.5"],
+        "e57": ["pye57>=0.4.17"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": [
             "pytest>=8",
             "hypothesis>=6.100",
             "laspy[lazrs]>=2.5",
+            "pye57>=0.4.17",
             "onnxruntime>=1.20",
             "markov-clustering==0.0.6.dev0",
         ],

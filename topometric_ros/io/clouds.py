@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.io.e57 import read_e57_points
 from topometric_ros.io.las import read_las_points
 from topometric_ros.io.pcd import read_pcd_points
 from topometric_ros.io.ply import read_ply_points
@@ -68,7 +69,7 @@ def up_rotation(up: str) -> NDArray[np.float64]:
 
 
 def read_cloud(path: Path | str, up: str = "z", scale: float = 1.0) -> Cloud:
-    """Read a point cloud: .ply, .pcd, .xyz, .txt, .npy, .npz, .las or .laz.
+    """Read a point cloud: .ply, .pcd, .xyz, .txt, .npy, .npz, .las, .laz or .e57.
 
     Parameters
     ----------
@@ -190,5 +191,6 @@ _READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {
     ".npz": _read_numpy,
     ".las": read_las_points,
     ".laz": read_las_points,
+    ".e57": read_e57_points,
 }
 CLOUD_SUFFIXES = tuple(_READERS)
