@@ -12,6 +12,17 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").g
 FOLDERS = "topometric_ros|test|scripts|config|launch|docs|bags|wheels|training|security|examples"
 NAMED = re.compile(rf"`((?:{FOLDERS})/[\w./-]+)`")
 LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
+HEADING = re.compile(r"(?m)^#+ (.+)$")
+TO_HEADING = re.compile(r"\]\((?!https?:)([^)#]*)#([^)]+)\)")
+
+
+def anchor(heading: str) -> str:
+    """What a link to the heading names after `#`, as GitHub spells it."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def anchors(document: Path) -> set[str]:
+    return {anchor(heading) for heading in HEADING.findall(document.read_text(encoding="utf-8"))}
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -21,6 +32,25 @@ def test_every_file_that_a_document_names_exists(document):
     named |= {document.parent / name for name in LINK.findall(text)}
     missing = sorted(str(path) for path in named if not path.exists())
     assert not missing
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_link_to_a_heading_finds_it(document):
+    links = TO_HEADING.findall(document.read_text(encoding="utf-8"))
+    missing = [
+        f"{name}#{heading}"
+        for name, heading in links
+        if heading not in anchors(document.parent / name if name else document)
+    ]
+    assert not missing
+
+
+def test_the_benchmarks_are_all_in_their_contents():
+    text = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    contents, _, rest = text.partition("\n## ")
+    listed = {heading for _, heading in TO_HEADING.findall(contents)}
+    sections = re.findall(r"(?m)^###? (.+)$", "## " + rest)
+    assert not [title for title in sections if anchor(title) not in listed]
 
 
 def test_the_thesis_table_covers_every_algorithm_and_equation():
