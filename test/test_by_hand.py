@@ -10,8 +10,14 @@ import pytest
 from test.helpers import yaw_transform
 from test.helpers_io import random_map
 from test.helpers_sessions import flat_map, restarted
-from topometric_ros.alignment import Alignment, AlignmentStatus
+from topometric_ros.alignment import Alignment, AlignmentStatus, Basis
 from topometric_ros.fusion.config import MergeConfig
+from topometric_ros.io.bag_messages import message_classes
+from topometric_ros.runtime.alignment_codec import (
+    alignments_from_message,
+    alignments_to_message,
+    offers_from_message,
+)
 from topometric_ros.runtime.by_hand import CovarianceError
 from topometric_ros.runtime.extractor_session import SessionError
 from topometric_ros.runtime.merger_session import MergerSession
@@ -28,6 +34,9 @@ def test_an_alignment_set_by_hand_holds_until_removed() -> None:
     result = merger.merge()
     assert result.alignments[0].status is AlignmentStatus.ACCEPTED
     assert result.alignments[0].reason == "set by hand"
+    message = alignments_to_message(result, message_classes(), 1, merger.maps)
+    assert alignments_from_message(message).alignments[0].basis is Basis.OPERATOR
+    assert offers_from_message(message) == [], "another operator's word is not taken over"
     np.testing.assert_allclose(result.alignments[0].T_a_b, T, atol=1e-12)
     np.testing.assert_allclose(merger.transforms()["b"], T, atol=1e-9)
     assert result.alignments[0].covariance is not None

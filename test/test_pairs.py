@@ -11,14 +11,18 @@ import pytest
 from test.helpers import yaw_transform
 from test.helpers_io import random_map
 from test.helpers_sessions import flat_map
-from topometric_ros.alignment import WAITING, Alignment, AlignmentStatus
+from topometric_ros.alignment import Alignment, AlignmentStatus, Basis
 from topometric_ros.configuration import with_values
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.io.bag_messages import message_classes
 from topometric_ros.matching.evidence import Evidence
 from topometric_ros.runtime import stability
-from topometric_ros.runtime.alignment_codec import alignments_to_message, offers_from_message
+from topometric_ros.runtime.alignment_codec import (
+    alignments_from_message,
+    alignments_to_message,
+    offers_from_message,
+)
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.merger_state import Known, MergerState, version_of
 from topometric_ros.runtime.pairs import Pairs
@@ -92,6 +96,7 @@ def test_what_a_new_map_contradicts_is_not_used_until_it_is_found_anew() -> None
     # What waits is no verdict that another merger could take over.
     message = alignments_to_message(placed, message_classes(), 1, merger.maps)
     assert offers_from_message(message) == []
+    assert alignments_from_message(message).alignments[0].basis is Basis.OLDER_MAPS
 
 
 def test_agents_without_a_place_come_first_and_then_who_waited_longest() -> None:
@@ -109,7 +114,7 @@ def test_agents_without_a_place_come_first_and_then_who_waited_longest() -> None
     def aligned(index: int, turn: int, status: AlignmentStatus) -> None:
         a, b = every[index]
         T = np.eye(4) if status is AlignmentStatus.ACCEPTED else None
-        alignment = Alignment((a.agent, b.agent), status, WAITING, T)
+        alignment = Alignment((a.agent, b.agent), status, "as before", T)
         pairs.known[a.agent, b.agent] = Known(alignment, (version_of(a), version_of(b)), 0.0)
         pairs._turns[a.agent, b.agent] = turn
 
@@ -139,8 +144,10 @@ def test_new_parameters_are_asked_of_maps_that_have_not_changed() -> None:
     (x,) = merger.align(limit=0).alignments
     assert merger.waiting == 1
     assert x.reason.startswith("it no longer holds: ")
+    assert x.basis is Basis.OLDER_PARAMETERS
+    assert x.reason.endswith("under the new parameters yet")
     (x,) = merger.align().alignments
-    assert (x.accepted, merger.waiting) == (False, 0)
+    assert (x.accepted, merger.waiting, x.basis) == (False, 0, Basis.MAPS)
     kept = merger.state()
 
     merger.config = MergeConfig()

@@ -16,12 +16,32 @@ from numpy.typing import NDArray
 from topometric_ros.topometric_map import TopometricMap
 
 MERGE_SCHEMA = "topometric-merge/1"
-BY_HAND = "set by hand"
-"""The reason of an alignment that an operator has fixed."""
-REMOVED_BY_HAND = "removed by hand"
-"""The reason of a pair that an operator does not want aligned."""
-WAITING = "the newest maps are not compared yet"
-"""How the reason of a verdict ends that is of older maps than those held, or of none at all."""
+
+
+class Basis(StrEnum):
+    """What a verdict on a pair of agents rests on."""
+
+    MAPS = "maps"
+    """The present maps and parameters."""
+    OLDER_MAPS = "older maps"
+    """Older maps than those held, or none at all: the pair waits for its turn."""
+    OLDER_PARAMETERS = "older parameters"
+    """The present maps under parameters that have changed since: the pair waits for its turn."""
+    OPERATOR = "operator"
+    """What somebody has said of the pair, whatever the maps say."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether the pair is still to be aligned."""
+        return self in (Basis.OLDER_MAPS, Basis.OLDER_PARAMETERS)
+
+
+TOLD_BASIS = {
+    Basis.OLDER_MAPS: "the newest maps are not compared yet",
+    Basis.OLDER_PARAMETERS: "the maps are not compared under the new parameters yet",
+    Basis.OPERATOR: "by hand",
+}
+"""How a reason ends that does not rest on the present maps and parameters."""
 
 
 class AlignmentStatus(StrEnum):
@@ -66,7 +86,8 @@ class Alignment:
     `overlap` is the share of the smaller map's voxels that the other map holds too, `rmse` (m) the
     residual of the registration, `confidence` 0..1, `covariance` (6, 6) over (x, y, z, roll, pitch,
     yaw) of `T_a_b` in m and rad, or None where there is no transform. `inliers` is the share of the
-    points that registration found on the other map, None where it was not done here.
+    points that registration found on the other map, None where it was not done here. `basis` is for
+    programs; `reason` tells it to people.
     """
 
     agents: tuple[str, str]
@@ -81,6 +102,7 @@ class Alignment:
     covariance: NDArray[np.float64] | None = None
     score: float = 0.0
     inliers: float | None = None
+    basis: Basis = Basis.MAPS
 
     @property
     def accepted(self) -> bool:

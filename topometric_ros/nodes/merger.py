@@ -6,7 +6,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from topometric_msgs.msg import AlignmentArray
 from topometric_msgs.msg import TopometricMap as MapMessage
 
-from topometric_ros.alignment import WAITING
 from topometric_ros.errors import TopometricError
 from topometric_ros.fusion.config import MergeConfig, merge_preset
 from topometric_ros.nodes import parameters, qos
@@ -22,15 +21,16 @@ from topometric_ros.nodes.agent_names import parse_agents
 from topometric_ros.nodes.config import MergerNodeConfig
 from topometric_ros.nodes.diagnostics import to_message
 from topometric_ros.nodes.merger_maps import read_files, recall
-from topometric_ros.nodes.merger_output import MergerOutput, Shown
+from topometric_ros.nodes.merger_output import MergerOutput
 from topometric_ros.nodes.merger_places import Places
 from topometric_ros.nodes.merger_report import MergerReport
 from topometric_ros.nodes.merger_services import serve
+from topometric_ros.nodes.merger_showing import Showing
 from topometric_ros.nodes.merger_state import StateKeeper
 from topometric_ros.nodes.messages import message_classes
 from topometric_ros.nodes.roster import Roster
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
-from topometric_ros.nodes.worker import Inbox, Pace, Worker
+from topometric_ros.nodes.worker import Inbox, Worker
 from topometric_ros.runtime.alignment_codec import offers_from_message
 from topometric_ros.runtime.by_hand import covariance_of
 from topometric_ros.runtime.extractor_session import SessionError
@@ -43,10 +43,6 @@ _BREATH_S = 0.005
 
 _OFFERS_S = 3.0
 """How long another merger's alignments are waited for at the start, where there is one."""
-
-_TELLING_SHARE = 0.5
-_FUSING_SHARE = 0.3
-"""Of the time, at most, that publishing alignments and fusing maps take."""
 
 _CHANGEABLE_OF_NODE = (
     "max_rate",
@@ -74,6 +70,7 @@ class Merger(TopometricNode):
         self._listed = parse_agents(self._own.agents)
         self._classes = message_classes()
         self.working = threading.Lock()
+        self._keeper = StateKeeper("", self.get_logger())
 
     def _set_up(self) -> None:
         discover = self._own.discover or not self._listed
@@ -83,11 +80,6 @@ class Merger(TopometricNode):
         self.fresh = False
         self._more = False
         self._said: dict[tuple[str, str], tuple[str, str]] = {}
-        self._told: Hashable = None
-        self._fused = Shown()
-        self._storey = self._own.grid_storey
-        self._telling, self._fusing = Pace(_TELLING_SHARE), Pace(_FUSING_SHARE)
-        self._stale: tuple[str, ...] = ()
         self._others: Inbox[AlignmentArray] = Inbox(1)
         self._keeper = StateKeeper(self._own.state_file, self.get_logger())
         self._keeper.restore(self.session)
@@ -95,7 +87,8 @@ class Merger(TopometricNode):
         recall(self.session, self.roster, now)
         read_files(self.session, self.roster, now, self.get_logger())
         self.fresh = bool(self.session.maps)
-        self._out = MergerOutput(self, self._classes)
+        output = MergerOutput(self, self._classes)
+        self._showing = Showing(output, lambda: self._own, self.remember)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
         self._places = Places(self)
         listed = ", ".join(self._listed) or "every agent that is found"
@@ -122,6 +115,11 @@ class Merger(TopometricNode):
         self.create_timer(1.0 / self._own.tf_rate, self._places.publish)
         self.every(_REPORT_S, self._look)
 
+    def cleanup(self) -> None:
+        """Take the publishers away, and leave the state file to others."""
+        super().cleanup()
+        self._keeper.close()
+
     def _stop_work(self, limit_s: float) -> bool:
         return self._worker.stop(limit_s)
 
@@ -135,9 +133,9 @@ class Merger(TopometricNode):
 
     def _is_told_otherwise(self) -> bool:
         """Whether parameters have changed on which something rests that is held or published."""
-        storey = self.session.result is not None and self._storey != self._own.grid_storey
         by_hand = (self.session.covariance_by_hand != self._covariance_by_hand()).any()
         changed = bool(by_hand) or self.session.config != self._wanted
+        storey = self._showing.other_storey(self.session)
         return storey or (bool(self.session.maps) and changed)
 
     def _covariance_by_hand(self) -> NDArray[np.float64]:
@@ -145,7 +143,7 @@ class Merger(TopometricNode):
         return covariance_of(self._own.by_hand_sigma, turn)
 
     def _hear(self, message: AlignmentArray) -> None:
-        if not self._out.is_own(message):
+        if not self._showing.output.is_own(message):
             self._others.put(message)
 
     def _work(self) -> None:
@@ -162,7 +160,8 @@ class Merger(TopometricNode):
                 check_only = self.fresh or expected
                 self.fresh = False
                 self._align(0 if check_only else self._own.max_threads)
-            left = self.session.placed is not None and self._publish_due()
+            left = self.session.placed is not None and self._showing.publish_due(self.session)
+            self.report.changes = self._showing.changes
             self._more = left or self.session.waiting > 0
         if self.session.waiting and not expected:
             # A service that waits for its turn gets it here.
@@ -222,7 +221,7 @@ class Merger(TopometricNode):
         self.report.failure = ""
         for x in placed.alignments:
             said = (x.status, x.reason)
-            if self._said.get(x.agents) != said and not x.reason.endswith(WAITING):
+            if self._said.get(x.agents) != said and not x.basis.waits:
                 self.get_logger().info(f"{' and '.join(x.agents)}: {x.status}: {x.reason}")
                 self._said[x.agents] = said
                 self.report.since[x.agents] = self.get_clock().now().nanoseconds
@@ -231,52 +230,16 @@ class Merger(TopometricNode):
     def _offers_expected(self) -> bool:
         """Whether another merger is there whose alignments have not arrived yet."""
         early = time.monotonic() - self._begun < _OFFERS_S
-        return self._own.adopt and early and not self._offered and self._out.others_publish()
-
-    def _publish_due(self) -> bool:
-        """Publish what has changed and what it is time for; return whether something is left."""
-        shown = self._shown()
-        told = shown.alignments == self._told
-        if not told and self._telling.due():
-            with self._telling.step(self._own.max_rate):
-                self._tell()
-            told = True
-        # A map of places that are known better waits until no pair does; one of new maps does not.
-        settled = shown.places == self._fused.places or self.session.waiting > 0
-        fused = shown.maps == self._fused.maps and settled
-        if not fused and self._fusing.due():
-            with self._fusing.step(self._own.max_rate):
-                self._fuse()
-            fused = True
-        elif self.session.result is not None and self._storey != self._own.grid_storey:
-            self._storey = self._own.grid_storey
-            self._out.publish_grid(self.session.result, self._storey)
-        return not (told and fused and self._told)
-
-    def _shown(self) -> Shown:
-        return Shown.of(self.session, sorted({*self.session.stale, *self._stale}))
-
-    def _tell(self) -> None:
-        self._told = self._shown().alignments
-        if self.session.placed is not None:
-            stale = sorted({*self.session.stale, *self._stale})
-            changes = self.report.changes
-            self._out.publish_alignments(self.session.placed, self.session.maps, stale, changes)
-        self.remember()
-
-    def _fuse(self) -> None:
-        self._fused = self._shown()
-        self._storey = self._own.grid_storey
-        changes = self._out.publish_map(self.session.fuse(), self._storey)
-        if changes != self.report.changes:
-            self.report.changes, self._told = changes, None
+        awaited = self._own.adopt and early and not self._offered
+        return awaited and self._showing.output.others_publish()
 
     def merge(self) -> None:
         """Align all that waits, fuse and publish; raises what the session raises."""
         self.fresh = False
         self._align(None)
-        self._fuse()
-        self._tell()
+        self._showing.fuse(self.session)
+        self._showing.tell(self.session)
+        self.report.changes = self._showing.changes
 
     def start_over(self) -> None:
         """Forget all maps and alignments; the caller holds `working`."""
@@ -286,7 +249,7 @@ class Merger(TopometricNode):
         read_files(self.session, self.roster, now, self.get_logger())
         self.fresh = bool(self.session.maps)
         self.report = MergerReport(self.roster.reports)
-        self._told, self._fused = None, Shown()
+        self._showing.forget()
         self._said.clear()
         self._places.note(self.session, self._wanted.global_frame)
         self.remember()
@@ -307,7 +270,7 @@ class Merger(TopometricNode):
         self.roster.look()
         self.report.gone = self.roster.gone(self._own.stale_after)
         stale = tuple(sorted(a for a in self.report.gone if a in self.session.maps))
-        if stale != self._stale or self._overdue():
+        if stale != self._showing.stale or self._overdue():
             self._worker.wake()
         if self._own.forget_after and self.working.acquire(blocking=False):
             self.roster.drop(self._own.forget_after, self.session.maps)
@@ -328,10 +291,10 @@ class Merger(TopometricNode):
             self.roster.report_of(agent, agent).newest = None
             self.fresh = bool(self.session.maps)
         stale = tuple(sorted(a for a in self.report.gone if a in self.session.maps))
-        for agent in sorted({*stale} ^ {*self._stale}):
+        for agent in sorted({*stale} ^ {*self._showing.stale}):
             what = "its extractor is gone" if agent in stale else "its extractor is there again"
             self.get_logger().warning(f"{agent}: {what}")
-        self._stale = stale
+        self._showing.stale = stale
 
     def _publish_diagnostics(self) -> None:
         now = self.get_clock().now()

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from topometric_ros.alignment import (
-    REMOVED_BY_HAND,
     AgentPlacement,
     AgentStatus,
     Alignment,
     AlignmentStatus,
+    Basis,
     Placed,
 )
 from topometric_ros.fusion.verification import LEAST_CONFIDENCE
@@ -163,5 +163,7 @@ def _alignment(node: str, x: Alignment, age: int, rooms: Mapping[str, int]) -> S
         values |= {"overlap": float(x.overlap), "rmse [m]": float(x.rmse)}
         values |= {} if x.inliers is None else {"inliers": float(x.inliers)}
     name = f"{node}: alignment {' - '.join(x.agents)}"
-    level = Level.WARN if x.reason == REMOVED_BY_HAND else _ALIGNMENT_LEVELS[x.status]
+    level = (
+        Level.WARN if x.basis is Basis.OPERATOR and not x.accepted else _ALIGNMENT_LEVELS[x.status]
+    )
     return Status(name, level, f"{x.status}: {x.reason}", values)

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from topometric_ros.alignment import (
-    BY_HAND,
     MERGE_SCHEMA,
-    WAITING,
+    TOLD_BASIS,
     AgentPlacement,
     AgentStatus,
     Alignment,
     AlignmentStatus,
     Alternative,
+    Basis,
     MergeResult,
     Placed,
     RoomMatch,
@@ -106,8 +106,7 @@ def offers_from_message(message: Any) -> list[Known]:
         for x in received.alignments
         if set(x.agents) <= set(versions)
         and x.status is not AlignmentStatus.WITHDRAWN
-        and x.reason != BY_HAND
-        and not x.reason.endswith(WAITING)
+        and x.basis is Basis.MAPS
     ]
 
 
@@ -207,7 +206,14 @@ def _alignment(message: Any) -> Alignment:
             else None
         ),
         score=float(message.score),
+        basis=_basis(str(message.reason)),
     )
+
+
+def _basis(reason: str) -> Basis:
+    """Return what a verdict rests on, for which the message has no field but its reason."""
+    told = (basis for basis, words in TOLD_BASIS.items() if reason.endswith(words))
+    return next(told, Basis.MAPS)
 
 
 def _status(known: tuple[Any, ...], value: int, what: str) -> Any:

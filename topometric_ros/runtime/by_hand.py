@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.alignment import BY_HAND, REMOVED_BY_HAND, Alignment, AlignmentStatus
+from topometric_ros.alignment import TOLD_BASIS, Alignment, AlignmentStatus, Basis
 from topometric_ros.runtime.transforms import TransformError, check_rigid
 
 Pair = tuple[str, str]
@@ -78,10 +78,11 @@ class ByHand:
         self.fixed[a, b] = Alignment(
             agents=(a, b),
             status=AlignmentStatus.ACCEPTED,
-            reason=BY_HAND,
+            reason=_told("set"),
             T_a_b=T_a_b,
             confidence=1.0,
             covariance=covariance,
+            basis=Basis.OPERATOR,
         )
 
     def remove(self, a: str, b: str) -> bool:
@@ -122,7 +123,12 @@ class ByHand:
 
 def taken_back(a: str, b: str) -> Alignment:
     """Return what is told of a pair that is not to be aligned."""
-    return Alignment((a, b), AlignmentStatus.WITHDRAWN, REMOVED_BY_HAND)
+    reason = _told("removed")
+    return Alignment((a, b), AlignmentStatus.WITHDRAWN, reason, basis=Basis.OPERATOR)
+
+
+def _told(what: str) -> str:
+    return f"{what} {TOLD_BASIS[Basis.OPERATOR]}"
 
 
 def _unordered(a: str, b: str) -> Pair:

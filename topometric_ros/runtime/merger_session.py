@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import logging
-from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -19,10 +18,11 @@ from numpy.typing import NDArray
 
 from topometric_ros.alignment import MergeResult, Placed
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.fusion.merge import MOST_AGENTS, fused, place
+from topometric_ros.fusion.merge import fused, place
 from topometric_ros.runtime.by_hand import ByHand, covariance_of, taken_back
 from topometric_ros.runtime.extractor_session import SessionError
-from topometric_ros.runtime.merger_state import MOST_ENDED, Known, MergerState
+from topometric_ros.runtime.fleet_maps import FleetMaps, Taken
+from topometric_ros.runtime.merger_state import Known, MergerState
 from topometric_ros.runtime.moved_maps import MOVED, move_told, still_there
 from topometric_ros.runtime.pairs import Pairs
 from topometric_ros.stopwatch import Stopwatch
@@ -50,22 +50,18 @@ class MergerSession:
         self.threads = threads
         self.covariance_by_hand = covariance_of(0.1, np.radians(1.0))
         """(6, 6), what is told of transforms that are set by hand without a covariance."""
-        self._order = list(agents)
+        self._fleet = FleetMaps(agents)
         self.reset()
 
     def reset(self) -> None:
         """Forget all maps and alignments, and what was said of them by hand."""
-        self.maps: dict[str, TopometricMap] = {}
-        """The map of each agent that takes part in the result."""
-        self.sources: dict[str, str] = {}
+        self._fleet = FleetMaps(self._fleet.order)
         self.placed: Placed | None = None
         """Where the agents stand by the newest alignments, None before the first."""
         self.result: MergeResult | None = None
         """The newest fused result, which `placed` may be ahead of; None before the first."""
         self.waiting = 0
         """Pairs that are still to be aligned with the newest maps."""
-        self._newer_session: dict[str, TopometricMap] = {}
-        self._ended: dict[str, deque[str]] = {}
         self._pairs = Pairs()
         self.by_hand = ByHand()
         """What an operator has said of pairs."""
@@ -73,9 +69,19 @@ class MergerSession:
         self._watch = Stopwatch()
 
     @property
+    def maps(self) -> dict[str, TopometricMap]:
+        """The map of each agent that takes part in the result."""
+        return self._fleet.in_use
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """Where the maps came from."""
+        return self._fleet.sources
+
+    @property
     def stale(self) -> tuple[str, ...]:
         """Agents in the result with an old map, since their newer session is not aligned yet."""
-        return tuple(sorted(self._newer_session))
+        return tuple(sorted(self._fleet.newer))
 
     def add_map(self, m: TopometricMap, source: str = "") -> bool:
         """Take an agent's map; False where it is no newer than the one that is held.
@@ -90,35 +96,17 @@ class MergerSession:
         SessionError
             The map belongs to a session that has ended, or to one agent too many.
         """
-        if m.agent not in self.maps and len(self.maps) >= MOST_AGENTS:
-            raise SessionError(f"{m.agent}: at most {MOST_AGENTS} agents can be merged")
-        if m.session in self._ended.get(m.agent, ()):
-            raise SessionError(f"{m.agent}: a map of session {m.session!r}, which has ended")
-        self.sources[m.agent] = source or self.sources.get(m.agent, m.agent)
-        if m.agent not in self._order:
-            self._order.append(m.agent)
-        newest = self.newest(m.agent) if m.agent in self.maps else None
-        if newest is not None and newest.session == m.session:
-            if m.sequence <= newest.sequence:
-                return False
-            if m.agent in self._newer_session:
-                self._newer_session[m.agent] = m
-                return True
-            self._notice_move(newest, m)
-            self.maps[m.agent] = m
-            return True
-        if newest is None:
-            self.maps[m.agent] = m
-            return True
-        logger.info("%s: session %s follows %s", m.agent, m.session, newest.session)
-        self._ended.setdefault(m.agent, deque(maxlen=MOST_ENDED)).append(newest.session)
-        self._newer_session[m.agent] = m
-        self.by_hand.end_session(m.agent)
-        return True
+        held = self.maps.get(m.agent)
+        taken = self._fleet.take(m, source)
+        if taken is Taken.NEXT and held is not None:
+            self._notice_move(held, m)
+        if taken is Taken.SESSION:
+            self.by_hand.end_session(m.agent)
+        return taken is not Taken.OLD
 
     def newest(self, agent: str) -> TopometricMap:
         """Return the newest map of an agent that has one, taken into the result or not yet."""
-        return self._newer_session.get(agent) or self.maps[agent]
+        return self._fleet.newest(agent)
 
     def merge(self, progress: Progress = None) -> MergeResult:
         """Align all that changed and fuse the maps; raises what :meth:`align` raises."""
@@ -144,7 +132,7 @@ class MergerSession:
         if not self.maps:
             raise SessionError("no map was received yet")
         left = self._take_over(limit, progress)
-        order = [agent for agent in self._order if agent in self.maps]
+        order = self._fleet.present
         pairs = [
             (self.maps[a], self.maps[b])
             for a, b in itertools.combinations(order, 2)
@@ -154,13 +142,13 @@ class MergerSession:
         chosen = due if left is None else due[:left]
         in_use = {x.agents for x in self.placed.alignments if x.accepted} if self.placed else set()
         self._pairs.align(chosen, self.config, self.threads, in_use, self._watch, progress)
-        untried = sum(len(self._untried(agent)) for agent in self._newer_session)
+        untried = sum(len(self._untried(agent)) for agent in self._fleet.newer)
         self.waiting = len(due) - len(chosen) + untried
         maps = [self.maps[agent] for agent in order]
         known = {(a.agent, b.agent): self._pairs.alignment(a, b, self.config) for a, b in pairs}
         known |= {(a, b): taken_back(a, b) for a, b in self.by_hand.removed}
         placed = place(maps, self.config, known, sources=self.sources, fixed=self.by_hand.fixed)
-        told = (*self._moved.values(), *map(self._stale_warning, self.stale))
+        told = (*self._moved.values(), *map(self._fleet.told_stale, self.stale))
         if not self.waiting:
             self._moved = {}
         self.placed = dataclasses.replace(
@@ -199,7 +187,7 @@ class MergerSession:
         return {
             agent.id: agent.T_global_agent
             for agent in self.placed.agents
-            if agent.T_global_agent is not None and agent.id not in self._newer_session
+            if agent.T_global_agent is not None and agent.id not in self._fleet.newer
         }
 
     def set_alignment(
@@ -233,11 +221,11 @@ class MergerSession:
     def state(self) -> MergerState:
         """Return what is known, to be restored after a restart."""
         return MergerState(
-            order=tuple(self._order),
+            order=tuple(self._fleet.order),
             maps=dict(self.maps),
-            newer=dict(self._newer_session),
+            newer=dict(self._fleet.newer),
             sources=dict(self.sources),
-            ended={agent: tuple(sessions) for agent, sessions in self._ended.items()},
+            ended=self._fleet.ended,
             known=tuple(self._pairs.known.values()),
             fixed=tuple(self.by_hand.fixed.values()),
             removed=self.by_hand.removed,
@@ -245,19 +233,14 @@ class MergerSession:
 
     def restore(self, state: MergerState) -> None:
         """Take up a state again: what was known before is forgotten, the agents' order is kept."""
-        named = list(self._order)
         self.reset()
-        self._order = [*named, *(agent for agent in state.order if agent not in named)]
-        self.maps, self._newer_session = dict(state.maps), dict(state.newer)
-        self.sources = dict(state.sources)
-        self._ended = {agent: deque(known, MOST_ENDED) for agent, known in state.ended.items()}
+        self._fleet.restore(state)
         self._pairs.known = {entry.alignment.agents: entry for entry in state.known}
         self.by_hand = ByHand({x.agents: x for x in state.fixed}, state.removed)
 
     def forget(self, agent: str) -> None:
         """Take an agent out of the result; it may come back with any map."""
-        for held in (self.maps, self._newer_session, self.sources, self._ended):
-            held.pop(agent, None)
+        self._fleet.forget(agent)
         self.by_hand.end_session(agent)
         self._pairs.forget(agent)
         if not self.maps:
@@ -273,8 +256,8 @@ class MergerSession:
 
     def _require_pair(self, a: str, b: str) -> None:
         for agent in (a, b):
-            if agent not in self._order:
-                known = ", ".join(self._order) or "none"
+            if agent not in self._fleet.order:
+                known = ", ".join(self._fleet.order) or "none"
                 raise SessionError(f"no agent {agent!r}; known: {known}")
         if a == b:
             raise SessionError(f"an alignment needs two agents, got {a!r} twice")
@@ -289,16 +272,16 @@ class MergerSession:
         An agent in place keeps its old map until its new one aligns with that of another. Return
         how many pairs may still be aligned now.
         """
-        for agent in list(self._newer_session):
+        for agent in list(self._fleet.newer):
             untried, found = self._untried(agent), False
             for other in untried if limit is None else untried[:limit]:
-                a, b = self._in_order(self._newer_session[agent], self.maps[other])
+                a, b = self._fleet.in_order(self._fleet.newer[agent], self.maps[other])
                 limit = None if limit is None else limit - 1
                 found = self._pairs.try_one(a, b, self.config, self._watch, progress)
                 if found:
                     break
             if found or not self._must_align(agent):
-                self.maps[agent] = self._newer_session.pop(agent)
+                self._fleet.use_newer(agent)
                 self._pairs.keep_only(agent, self.maps)
         return limit
 
@@ -317,16 +300,13 @@ class MergerSession:
         """Return the agents in place that a newer session's map was not aligned with yet."""
         if not self._must_align(agent):
             return []
-        newer = self._newer_session[agent]
-        pairs = {o: self._in_order(newer, self.maps[o]) for o in self._partners(agent)}
+        newer = self._fleet.newer[agent]
+        pairs = {o: self._fleet.in_order(newer, self.maps[o]) for o in self._partners(agent)}
         return [
             other
             for other, (a, b) in pairs.items()
             if not self._pairs.was_refused(a, b, self.config)
         ]
-
-    def _in_order(self, x: TopometricMap, y: TopometricMap) -> tuple[TopometricMap, TopometricMap]:
-        return (x, y) if self._order.index(x.agent) < self._order.index(y.agent) else (y, x)
 
     def _notice_move(self, old: TopometricMap, new: TopometricMap) -> None:
         """Remember that an agent's map has moved as a whole, as when its SLAM closes a loop."""
@@ -338,7 +318,3 @@ class MergerSession:
         self._moved[new.agent] = told
         self._pairs.void(new.agent)
         logger.warning("%s", told)
-
-    def _stale_warning(self, agent: str) -> str:
-        old, new = self.maps[agent].session, self._newer_session[agent].session
-        return f"{agent}: session {new} is not aligned yet; its map of session {old} is kept"

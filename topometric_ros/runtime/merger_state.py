@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
+from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Basis, RoomMatch
 from topometric_ros.fusion.merge import MOST_AGENTS
 from topometric_ros.io.map_files import decode_map, encode_map
 from topometric_ros.io.map_format import MapFileError, Section, decode, encode, read_container
@@ -149,7 +149,7 @@ def load_state(path: Path) -> MergerState:
             sources={str(agent): str(source) for agent, source in fields["sources"].items()},
             ended={str(a): tuple(map(str, sessions)) for a, sessions in fields["ended"].items()},
             known=tuple(_known(entry) for entry in fields["known"]),
-            fixed=tuple(_alignment(entry) for entry in fields["fixed"]),
+            fixed=tuple(_alignment(entry, Basis.OPERATOR) for entry in fields["fixed"]),
             removed=tuple((str(a), str(b)) for a, b in fields.get("removed", ())),
         )
         _check(state)
@@ -206,7 +206,7 @@ def _fields(alignment: Alignment) -> dict[str, Any]:
     }
 
 
-def _alignment(entry: Mapping[str, Any]) -> Alignment:
+def _alignment(entry: Mapping[str, Any], basis: Basis = Basis.MAPS) -> Alignment:
     a, b = entry["agents"]
     T = _matrix(entry["T_a_b"], 4)
     if T is not None:
@@ -225,6 +225,7 @@ def _alignment(entry: Mapping[str, Any]) -> Alignment:
         covariance=_matrix(entry["covariance"], 6),
         score=float(entry["score"]),
         inliers=optional(entry.get("inliers")),  # Older files have none.
+        basis=basis,
     )
 
 

@@ -11,7 +11,7 @@ import dataclasses
 import logging
 from collections.abc import Callable, Collection, Sequence
 
-from topometric_ros.alignment import WAITING, Alignment, AlignmentStatus
+from topometric_ros.alignment import TOLD_BASIS, Alignment, AlignmentStatus, Basis
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.runtime.merger_state import Known, Version, version_of
 from topometric_ros.runtime.offers import Offers
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 Pair = tuple[str, str]
 Maps = tuple[TopometricMap, TopometricMap]
-Basis = tuple[tuple[Version, Version], str]
+Grounds = tuple[tuple[Version, Version], str]
 """What a verdict rests on: versions of both maps and the mark of the parameters."""
 
 _NO_LONGER, _JOINS, _APART, _TOGETHER, _HOLDS = range(5)
@@ -41,8 +41,8 @@ class Pairs:
         """What aligning gave, and of which versions of the maps."""
         self.offers = Offers()
         self.aligner = PairAligner()
-        self._checked: dict[Pair, tuple[Basis, Alignment, bool]] = {}
-        self._refused: dict[Pair, Basis] = {}
+        self._checked: dict[Pair, tuple[Grounds, Alignment, bool]] = {}
+        self._refused: dict[Pair, Grounds] = {}
         self._turns: dict[Pair, int] = {}
 
     def forget(self, agent: str) -> None:
@@ -82,7 +82,7 @@ class Pairs:
             pair = (a.agent, b.agent)
             alignment, holds = self._held(a, b, config)
             entry = self.known.get(pair)
-            if entry is not None and _basis_of(entry) == _basis(a, b, config):
+            if entry is not None and _grounds_of(entry) == _grounds(a, b, config):
                 continue
             there = sum(agent in placed for agent in pair)
             urgency = (_APART, _JOINS, _TOGETHER)[there]
@@ -112,14 +112,14 @@ class Pairs:
             pair = (a.agent, b.agent)
             entry = self.known.get(pair)
             alignment, held = new.alignment, new.support
-            basis = _basis(a, b, config)
-            same = entry is not None and entry.parameters == basis[1]
+            grounds = _grounds(a, b, config)
+            same = entry is not None and entry.parameters == grounds[1]
             if entry is not None and same and pair in in_use and _same_sessions(a, b, entry):
                 with watch.stage("stability"):
                     alignment, held = steadier(
                         entry.alignment, entry.support, alignment, new.a, new.b, config
                     )
-            self.known[pair] = Known(alignment, basis[0], held, basis[1])
+            self.known[pair] = Known(alignment, grounds[0], held, grounds[1])
             self._turns[pair] = turn
 
     def try_one(
@@ -132,16 +132,16 @@ class Pairs:
     ) -> bool:
         """Align a pair and keep what was found where it is accepted; return whether it is."""
         (found,) = self.aligner.align([(a, b)], config, 1, watch, progress)
-        pair, basis = (a.agent, b.agent), _basis(a, b, config)
+        pair, grounds = (a.agent, b.agent), _grounds(a, b, config)
         if found.alignment.accepted:
-            self.known[pair] = Known(found.alignment, basis[0], found.support, basis[1])
+            self.known[pair] = Known(found.alignment, grounds[0], found.support, grounds[1])
         else:
-            self._refused[pair] = basis
+            self._refused[pair] = grounds
         return found.alignment.accepted
 
     def was_refused(self, a: TopometricMap, b: TopometricMap, config: MergeConfig) -> bool:
         """Whether :meth:`try_one` has found no alignment of just these maps."""
-        return self._refused.get((a.agent, b.agent)) == _basis(a, b, config)
+        return self._refused.get((a.agent, b.agent)) == _grounds(a, b, config)
 
     def keep_only(self, agent: str, maps: dict[str, TopometricMap]) -> None:
         """Forget what is known of an agent's pairs unless it is of just these maps."""
@@ -154,43 +154,49 @@ class Pairs:
         self, a: TopometricMap, b: TopometricMap, config: MergeConfig
     ) -> tuple[Alignment, bool]:
         """Return what is held of a pair, and False where the present maps speak against it."""
-        pair, basis = (a.agent, b.agent), _basis(a, b, config)
+        pair, grounds = (a.agent, b.agent), _grounds(a, b, config)
         if pair not in self.known:
             offer = self.offers.standing(a, b, self.aligner, config)
             if offer is not None:
                 self.known[pair] = offer
         entry = self.known.get(pair)
         if entry is None:
-            return Alignment(pair, AlignmentStatus.NONE, WAITING), True
+            return _waiting(Alignment(pair, AlignmentStatus.NONE, ""), Basis.OLDER_MAPS), True
         if not entry.parameters:
-            entry = self.known[pair] = dataclasses.replace(entry, parameters=basis[1])
-        if _basis_of(entry) == basis:
+            entry = self.known[pair] = dataclasses.replace(entry, parameters=grounds[1])
+        if _grounds_of(entry) == grounds:
             return entry.alignment, True
+        older = Basis.OLDER_PARAMETERS if entry.versions == grounds[0] else Basis.OLDER_MAPS
         if not entry.alignment.accepted:
-            reason = f"{entry.alignment.reason}; {WAITING}"
-            return dataclasses.replace(entry.alignment, reason=reason), True
+            return _waiting(entry.alignment, older), True
         if not _same_sessions(a, b, entry):
-            return Alignment(pair, AlignmentStatus.NONE, WAITING), True
-        if pair not in self._checked or self._checked[pair][0] != basis:
+            return _waiting(Alignment(pair, AlignmentStatus.NONE, ""), older), True
+        if pair not in self._checked or self._checked[pair][0] != grounds:
             one, two = self.aligner.prepared(a, config), self.aligner.prepared(b, config)
             checked, objection = standing(entry.alignment, one, two, config)
             if objection is not None:
-                reason = f"it no longer holds: {objection}; {WAITING}"
-                logger.warning("%s and %s: %s", *pair, reason)
-                checked = Alignment(pair, AlignmentStatus.NONE, reason)
-            self._checked[pair] = (basis, checked, objection is None)
+                reason = f"it no longer holds: {objection}"
+                checked = _waiting(Alignment(pair, AlignmentStatus.NONE, reason), older)
+                logger.warning("%s and %s: %s", *pair, checked.reason)
+            self._checked[pair] = (grounds, checked, objection is None)
         return self._checked[pair][1:]
+
+
+def _waiting(alignment: Alignment, basis: Basis) -> Alignment:
+    """Return a verdict as it is told until the pair has its turn."""
+    told = [part for part in (alignment.reason, TOLD_BASIS[basis]) if part]
+    return dataclasses.replace(alignment, reason="; ".join(told), basis=basis)
 
 
 def _versions(a: TopometricMap, b: TopometricMap) -> tuple[Version, Version]:
     return version_of(a), version_of(b)
 
 
-def _basis(a: TopometricMap, b: TopometricMap, config: MergeConfig) -> Basis:
+def _grounds(a: TopometricMap, b: TopometricMap, config: MergeConfig) -> Grounds:
     return _versions(a, b), mark(config, a.agent, b.agent)
 
 
-def _basis_of(entry: Known) -> Basis:
+def _grounds_of(entry: Known) -> Grounds:
     return entry.versions, entry.parameters
 
 
