@@ -88,3 +88,21 @@ def test_every_parameter_knows_its_unit_and_description():
 def test_a_wrong_value_is_refused_with_what_was_expected(values, said):
     with pytest.raises(ConfigurationError, match=said):
         with_values(Outer(), values)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "module"),
+    [
+        ("registration.method", "gicp", "small_gicp"),
+        ("registration.method", "deep_closest_point", "onnxruntime"),
+        ("matching.descriptors.names", ["shape", "learned"], "onnxruntime"),
+    ],
+)
+def test_what_needs_an_extra_that_is_not_installed_is_refused_where_it_is_chosen(
+    name, value, module, monkeypatch
+):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(ConfigurationError, match=rf"{name}: .* needs {module}: pip install"):
+        with_values(merge_preset("default"), {name: value})
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: object())
+    with_values(merge_preset("default"), {name: value})

@@ -63,6 +63,17 @@ def test_a_folder_is_no_state_file_and_stays_where_it_is(tmp_path: Path) -> None
     assert {path.name for path in tmp_path.iterdir()} == {"maps", "pipe"}
 
 
+def test_a_state_file_is_of_one_merger_until_that_ends(tmp_path: Path) -> None:
+    logger, path = rclpy.logging.get_logger("test"), str(tmp_path / "state")
+    (tmp_path / ".state.12345.partial").touch()
+    first = StateKeeper(path, logger)
+    assert not list(tmp_path.glob("*.partial")), "what a killed merger left half done"
+    with pytest.raises(ConfigurationError, match="kept by another merger that is running"):
+        StateKeeper(path, logger, patience=0.0)
+    first.close()
+    StateKeeper(path, logger, patience=0.0).close()
+
+
 def test_every_call_of_a_service_gets_an_answer(node: TopometricNode, tmp_path: Path) -> None:
     def fail(request: Any, response: Any) -> Any:
         raise KeyError("nobody thought of this")

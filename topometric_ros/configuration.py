@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import array
 import dataclasses
+import importlib.util
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -148,6 +149,27 @@ def parameter(
             "rule": rule,
         },
     )
+
+
+def needs_extras(needed: Mapping[str, tuple[str, str]]) -> Callable[[Any], None]:
+    """Return a rule for choices that need more than what is always installed.
+
+    It is told where they are chosen, not when they are first used.
+
+    Parameters
+    ----------
+    needed : module and extra of the package, by choice
+    """
+
+    def rule(value: Any) -> None:
+        for choice in value if isinstance(value, tuple) else (value,):
+            module, extra = needed.get(choice, ("", ""))
+            if module and importlib.util.find_spec(module) is None:
+                raise ConfigurationError(
+                    f"{choice} needs {module}: pip install 'topometric_ros[{extra}]'"
+                )
+
+    return rule
 
 
 def parameters(config: Any, prefix: str = "") -> Iterator[tuple[ParameterInfo, Any]]:

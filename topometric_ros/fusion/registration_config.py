@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from topometric_ros.configuration import parameter
+from topometric_ros.configuration import needs_extras, parameter
 from topometric_ros.errors import ConfigurationError, TopometricError
 from topometric_ros.fusion.poses import Transform
 from topometric_ros.fusion.surface import Surface
@@ -42,6 +42,12 @@ class RegistrationConfig:
         "(extra `gicp`); fpfh_ransac: features and RANSAC without a first pose, then gravity_icp; "
         "deep_closest_point: counterparts from a network (extra `learned`), then gravity_icp.",
         choices=METHODS,
+        rule=needs_extras(
+            {
+                "gicp": ("small_gicp", "gicp"),
+                "deep_closest_point": ("onnxruntime", "learned"),
+            }
+        ),
     )
     axis: tuple[float, ...] = parameter(
         (0.0, 0.0, 1.0),

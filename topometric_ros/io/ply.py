@@ -7,6 +7,7 @@ file, at which Open3D 0.20 stops and returns uninitialised memory. Other PLYs go
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,7 +93,7 @@ def write_ply(path: Path, vertices: NDArray[np.void]) -> None:
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
     lines += [f"property {_NAMES[kind]} {name}" for name, kind in zip(names, kinds, strict=True)]
     packed = vertices.astype([(n, f"<{k}") for n, k in zip(names, kinds, strict=True)])
-    partial = path.with_name(f".{path.name}.partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     with partial.open("wb") as file:
         file.write(("\n".join([*lines, "end_header"]) + "\n").encode())
         file.write(packed.tobytes())

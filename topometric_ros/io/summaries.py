@@ -81,11 +81,12 @@ def write_atomically(path: Path, data: bytes, durable: bool = False) -> None:
     """Write a file in one step, so that nobody ever reads half of it.
 
     With `durable` the bytes are on the disk before the older file goes: also where the power fails.
+    Two processes that write one file do not mix: the last one's stays.
     """
     if path.exists() and not path.is_file():
         # Renaming would put a file in the place of a device or a pipe.
         raise MapFileError(f"{path}: cannot be written: a folder, a device or a pipe has that name")
-    partial = path.with_name(f".{path.name}.partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
             file.write(data)

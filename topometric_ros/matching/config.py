@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from topometric_ros.configuration import parameter
+from topometric_ros.configuration import needs_extras, parameter
 from topometric_ros.errors import ConfigurationError
 
 DESCRIPTORS = ("engineered", "spectral", "shape", "topological", "learned")
@@ -20,6 +20,7 @@ class DescriptorConfig:
         "Descriptors of a room to compute and to compare; learned takes the extra `learned`.",
         choices=DESCRIPTORS,
         count=(1, None),
+        rule=needs_extras({"learned": ("onnxruntime", "learned")}),
     )
     box: str = parameter(
         "oriented",

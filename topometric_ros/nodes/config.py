@@ -178,7 +178,7 @@ class MergerNodeConfig:
     state_file: str = parameter(
         "",
         "File that keeps maps, alignments and what was set by hand across a restart; written when "
-        "alignments are published, read at the start. Empty: nothing is kept.",
+        "alignments are published, read at the start, one for each merger. Empty: nothing is kept.",
     )
 
 

@@ -1,35 +1,85 @@
 """Keeps the merger's memory in a file, and takes it up again at the start.
 
 A file that cannot be read is put aside, not overwritten, and the merger starts with nothing: robots
-wait for it. A file that cannot be written is told once and tried again after the next merge.
+wait for it. A file that cannot be written is told once and tried again after the next merge. One
+file is of one merger: a lock beside it, which ends with the process however that ends, says so.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import glob
 import stat
+import time
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.io.map_format import MapFileError
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.merger_state import EncodedMaps, load_state, save_state
 
+_PATIENCE_S = 5.0
+"""How long a merger that is told to end may take, which the next one waits for."""
+
 
 class StateKeeper:
     """The state file of one merger; an empty path keeps nothing.
 
+    Parameters
+    ----------
+    path : the file
+    logger : the node's
+    patience : how long (s) another merger that has the file is waited for
+
     Raises
     ------
     ConfigurationError
-        The path is that of a folder, a device or a pipe: it must not be put aside or replaced.
+        The path is that of a folder, a device or a pipe, which must not be put aside or replaced,
+        or of another merger that is running.
     """
 
-    def __init__(self, path: str, logger: Any) -> None:
+    def __init__(self, path: str, logger: Any, patience: float = _PATIENCE_S) -> None:
         self._path = _file(path) if path else None
         self._logger = logger
         self._told = ""
         self._encoded = EncodedMaps()
+        self._lock: IO[bytes] | None = None
+        if self._path is not None:
+            self._claim(self._path, patience)
+
+    def _claim(self, path: Path, patience: float) -> None:
+        """Let no other merger have the file, and take away what killed ones have left half done."""
+        try:
+            self._lock = path.with_name(f".{path.name}.lock").open("wb")
+        except OSError:
+            return  # Where nothing can be written, nobody can overwrite anything.
+        until = time.monotonic() + patience
+        while True:
+            try:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    self.close()
+                    raise ConfigurationError(
+                        f"state_file: {path} is kept by another merger that is running; "
+                        "each needs a file of its own"
+                    ) from None
+                time.sleep(0.1)
+            except OSError as error:
+                self._logger.warning(f"{path}: cannot be locked ({error.strerror})")
+                break
+        for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+            with contextlib.suppress(OSError):
+                left.unlink()
+
+    def close(self) -> None:
+        """Leave the file to others."""
+        if self._lock is not None:
+            self._lock.close()
+        self._lock = None
 
     def restore(self, session: MergerSession) -> None:
         """Give a session what the file holds, if there is one."""
