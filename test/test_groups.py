@@ -12,6 +12,7 @@ from test.helpers import yaw_transform
 from topometric_ros.alignment import Alignment, AlignmentStatus
 from topometric_ros.fusion.groups import GroupsConfig, group_agents
 from topometric_ros.fusion.poses import inverse
+from topometric_ros.fusion.priors import Prior, parse_priors
 
 PLACES = {
     "a": np.eye(4),
@@ -109,6 +110,77 @@ def test_an_alignment_set_by_hand_weighs_as_much_as_is_said_of_it() -> None:
     wide = group_agents(AGENTS[:3], ring, GroupsConfig(), by_hand)
     off = [np.linalg.norm((g.T_group_agent[2] - PLACES["c"])[:3, 3]) for g in (rigid, wide)]
     assert off == pytest.approx([0.1, 0.0], abs=1e-3)
+
+
+def prior(x: str, y: str, sigma: float, off: np.ndarray | None = None) -> Prior:
+    """Return the right prior of two agents, turned off by `off`, or of y in the frame `site`."""
+    T = (yaw_transform(1.0, (5.0, 5.0, 0.0)) if x == "site" else inverse(PLACES[x])) @ PLACES[y]
+    spread = np.diag([sigma] * 3 + [sigma / 10.0] * 3) ** 2
+    return Prior(x, y, T if off is None else T @ off, spread, name="GNSS")
+
+
+@pytest.mark.parametrize("outer", [False, True])
+def test_a_prior_is_an_edge_that_weighs_by_its_covariance(outer: bool) -> None:
+    """Two alignments 10 cm off each put c 20 cm off; a marker says where it is, a rough fix not."""
+    drift = yaw_transform(0.0, (0.0, 0.0, 0.1))
+    chain = [
+        dataclasses.replace(edge(*pair, off=drift), covariance=np.diag([0.1**2] * 6))
+        for pair in (("a", "b"), ("b", "c"))
+    ]
+    off = []
+    for sigma in (0.01, 10.0):
+        known = [prior("site", "a", sigma), prior("site", "c", sigma)]
+        known = known if outer else [prior("a", "c", sigma)]
+        groups = group_agents(AGENTS[:3], chain, GroupsConfig(), centres=HERE, priors=known)
+        assert all(x.accepted for x in groups.alignments)
+        off.append(np.linalg.norm((groups.T_group_agent[2] - PLACES["c"])[:3, 3]))
+    assert off[0] < 0.02
+    assert off[1] == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_prior_tells_which_alignment_of_a_chain_is_wrong() -> None:
+    wrong = yaw_transform(0.0, (5.0, 0.0, 0.0))
+    chain = [edge("a", "b", 0.95), edge("b", "c", 0.6, wrong)]
+    sure = prior("a", "c", 0.3)
+    groups = group_agents(AGENTS[:3], chain, GroupsConfig(), centres=HERE, priors=[sure])
+    assert groups.group == (0, 0, 1)
+    assert "the cycle b - a - c - b with the GNSS" in groups.alignments[1].reason
+    # A prior joins nobody, and one so rough that 5 m are within it contradicts nobody.
+    rough = prior("a", "c", 5.0)
+    groups = group_agents(AGENTS[:3], chain, GroupsConfig(), centres=HERE, priors=[rough])
+    assert groups.group == (0, 0, 0)
+
+
+def test_a_wrong_prior_that_alignments_outvote_moves_nobody() -> None:
+    pairs = itertools.combinations(AGENTS, 2)
+    wrong = prior("a", "c", 0.01, yaw_transform(0.0, (5.0, 0.0, 0.0)))
+    alignments = [edge(*pair, 0.8) for pair in pairs if pair != ("a", "c")]
+    groups = group_agents(AGENTS, alignments, GroupsConfig(), centres=HERE, priors=[wrong])
+    assert all(x.accepted for x in groups.alignments)
+    for agent, T in zip(AGENTS, groups.T_group_agent, strict=True):
+        np.testing.assert_allclose(T, PLACES[agent], atol=1e-9)
+
+
+def test_a_wrong_prior_of_a_lone_chain_parts_it() -> None:
+    """Nobody can tell whether the prior or an alignment is wrong."""
+    wrong = prior("a", "c", 0.01, yaw_transform(0.0, (5.0, 0.0, 0.0)))
+    chain = [edge("a", "b", 0.97), edge("b", "c", 0.99)]
+    groups = group_agents(AGENTS[:3], chain, GroupsConfig(), centres=HERE, priors=[wrong])
+    assert groups.group == (0, 1, 2)
+
+
+def test_height_says_nothing_where_a_prior_does_not_know_it() -> None:
+    """A fix to 0.3 m in the plan and 20 m in height: 5 m of height are allowed, of the plan not."""
+    spread = (
+        "covariance: [0.09,0,0,0,0,0, 0,0.09,0,0,0,0, 0,0,400,0,0,0, 0,0,0,1,0,0, 0,0,0,0,1,0, "
+    )
+    rest = f"yaw: 0, {spread} 0,0,0,0,0,1]}}"
+    chain = [edge("a", "b", 0.95), edge("b", "c", 0.6)]
+    for position, group in (([0, 9, 5.2], (0, 0, 0)), ([5, 9, 0.2], (0, 0, 1))):
+        known = parse_priors([f"{{between: [a, c], position: {position}, {rest}"])
+        turned = [dataclasses.replace(known[0], T=known[0].T @ yaw_transform(-2.0))]
+        found = group_agents(AGENTS[:3], chain, GroupsConfig(), centres=HERE, priors=turned)
+        assert found.group == group
 
 
 def test_the_gap_of_a_cycle_is_read_where_the_maps_are() -> None:

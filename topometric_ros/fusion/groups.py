@@ -4,6 +4,9 @@ Accepted alignments are the links of a graph, and every cycle of it is a check t
 Where the links of a cycle disagree, a robust pose graph finds the ones that the others speak
 against; they are withdrawn. Where too few others speak, nobody can tell which link is wrong: then
 every one that is hardly more confident than the one withdrawn goes too. What is left is averaged.
+
+Priors join nobody, but between agents that alignments join they are edges like any other: they
+close cycles, and weigh by their covariance. One that the alignments outvote is left out.
 """
 
 from __future__ import annotations
@@ -19,8 +22,26 @@ from numpy.typing import NDArray
 
 from topometric_ros.alignment import Alignment, AlignmentStatus
 from topometric_ros.configuration import parameter
-from topometric_ros.fusion.pose_graph import Link, Misfit, misfit, optimised, switched_on
+from topometric_ros.fusion.agent_graph import (
+    BY_HAND,
+    BY_PRIOR,
+    KnownAgents,
+    add_priors,
+    alignment_graph,
+    chained,
+    link_of,
+    link_of_prior,
+)
+from topometric_ros.fusion.pose_graph import (
+    Link,
+    Misfit,
+    agrees,
+    misfit,
+    optimised,
+    switched_on,
+)
 from topometric_ros.fusion.poses import Transform, inverse
+from topometric_ros.fusion.priors import Prior
 
 
 @dataclass(frozen=True)
@@ -64,19 +85,6 @@ class Groups:
     alignments: tuple[Alignment, ...]
 
 
-@dataclass(frozen=True)
-class _Agents:
-    """What is known of the agents: the middle of each map and which way is up in its frame."""
-
-    middles: Mapping[str, NDArray[np.float64]]
-    levels: Mapping[str, Transform]
-    by_hand: frozenset[tuple[str, str]]
-
-    def level(self, agent: str) -> Transform:
-        """Return the agent's T_level_input."""
-        return self.levels.get(agent, np.eye(4))
-
-
 def group_agents(
     agents: Sequence[str],
     alignments: Sequence[Alignment],
@@ -84,6 +92,7 @@ def group_agents(
     fixed: frozenset[tuple[str, str]] = frozenset(),
     centres: Mapping[str, NDArray[np.float64]] | None = None,
     levels: Mapping[str, Transform] | None = None,
+    priors: Sequence[Prior] = (),
 ) -> Groups:
     """Group agents by their accepted alignments.
 
@@ -96,8 +105,9 @@ def group_agents(
     centres : middle of each agent's map (3,), m, its own input frame, where the gap at the end of a
         cycle is read; at the origin of the frame a turn would count by its distance from the map
     levels : T_level_input of each agent; identity where missing
+    priors : of pairs of agents, and of agents in outer frames
     """
-    known = _Agents(centres or {}, levels or {}, fixed)
+    known = KnownAgents(centres or {}, levels or {}, fixed, priors)
     alignments = list(alignments)
     order = {agent: k for k, agent in enumerate(agents)}
     group: dict[str, int] = {}
@@ -106,7 +116,7 @@ def group_agents(
     waiting = [sorted(c, key=order.__getitem__) for c in _components(agents, alignments, known)]
     while waiting:
         members = waiting.pop()
-        graph = _graph(members, alignments, known)
+        graph = alignment_graph(members, alignments, known)
         poses, withdrawn = _solved(members, graph, alignments, config, known)
         for index, reason in withdrawn.items():
             alignments[index] = dataclasses.replace(
@@ -127,23 +137,9 @@ def group_agents(
 
 
 def _components(
-    agents: Sequence[str], alignments: Sequence[Alignment], known: _Agents
+    agents: Sequence[str], alignments: Sequence[Alignment], known: KnownAgents
 ) -> list[set[str]]:
-    return list(nx.connected_components(_graph(agents, alignments, known)))
-
-
-def _graph(agents: Sequence[str], alignments: Sequence[Alignment], known: _Agents) -> nx.Graph:
-    """Return the graph of accepted alignments; of two for one pair the more confident."""
-    graph = nx.Graph()
-    graph.add_nodes_from(agents)
-    for index, alignment in enumerate(alignments):
-        a, b = alignment.agents
-        if not alignment.accepted or alignment.T_a_b is None or a not in graph or b not in graph:
-            continue
-        weight = 2.0 if alignment.agents in known.by_hand else alignment.confidence
-        if not graph.has_edge(a, b) or graph[a][b]["weight"] < weight:
-            graph.add_edge(a, b, weight=weight, index=index)
-    return graph
+    return list(nx.connected_components(alignment_graph(agents, alignments, known)))
 
 
 def _solved(
@@ -151,60 +147,48 @@ def _solved(
     graph: nx.Graph,
     alignments: Sequence[Alignment],
     config: GroupsConfig,
-    known: _Agents,
+    known: KnownAgents,
 ) -> tuple[dict[str, Transform], dict[int, str]]:
     """Place the agents of one component; also the alignments to withdraw, with the reasons."""
     edges = sorted(graph.edges, key=lambda edge: graph.edges[edge]["index"])
-    tree = nx.maximum_spanning_tree(graph, weight="weight")
-    poses = _chained(members, tree, alignments, known)
+    beside = add_priors(graph, known.priors)
+    edges += [graph.edges[e]["of"] for e in graph.edges if "prior" in graph.edges[e]]
+    nodes = [*members, *(node for node in graph if node not in members)]
+    poses = chained(nodes, nx.maximum_spanning_tree(graph, weight="first"), known)
     withdrawn: dict[int, str] = {}
-    if len(edges) >= len(members):
-        links = [_link(members, alignments[graph.edges[e]["index"]], known) for e in edges]
-        middles = np.array([known.middles.get(agent, np.zeros(3)) for agent in members])
-        limits = (config.cycle_distance, np.radians(config.cycle_angle))
+    links = [link_of(nodes, graph.edges[edge], alignments, known) for edge in edges]
+    links += [link_of_prior(nodes, prior) for prior in beside]
+    if len(links) >= len(nodes):
+        middles = np.array([known.middles.get(node, np.zeros(3)) for node in nodes])
+        limits = (config.cycle_distance, float(np.radians(config.cycle_angle)))
         # Many outvote one that is surer; between equals the surer one stays.
-        trust = np.array([0.5 + min(graph.edges[e]["weight"], 1.0) for e in edges])
-        belief = switched_on(poses, links, middles, limits, trust)
-        for edge, weight in zip(edges, belief, strict=True):
-            on = graph.edges[edge]["weight"] >= 2.0 or weight >= 0.5
-            graph.edges[edge]["belief"] = graph.edges[edge]["weight"] + (4.0 if on else 0.0)
-        voted = _chained(
-            members, nx.maximum_spanning_tree(graph, weight="belief"), alignments, known
-        )
+        weights = [graph.edges[edge]["weight"] for edge in edges] + [BY_PRIOR] * len(beside)
+        trust = 0.5 + np.minimum(weights, 1.0)
+        belief = switched_on(poses, links, middles, limits, trust)[: len(edges)]
+        _believe(graph, dict(zip(edges, belief.tolist(), strict=True)))
         # The vote errs in lone cycles, the confidences where a wrong link is sure of itself: what
         # keeps more of the links is believed.
-        answers = [_averaged(start, links, middles, limits) for start in (poses, voted)]
+        trees = [nx.maximum_spanning_tree(graph, weight=key) for key in ("belief", "weight")]
+        starts = [poses, *(chained(nodes, tree, known) for tree in trees)]
+        answers = [_averaged(start, links, middles, limits) for start in starts]
         kept = [trust[[m is None for m in misfits]].sum() for _, misfits in answers]
         poses, misfits = answers[int(np.argmax(kept))]
-        wrong = {e: m for e, m in zip(edges, misfits, strict=True) if m is not None}
-        withdrawn = _withdrawn(graph, wrong, alignments, config, known)
+        wrong = {e: m for e, m in zip(edges, misfits[: len(edges)], strict=True) if m is not None}
+        withdrawn = _withdrawn(graph, wrong, config)
     to_input = inverse(known.level(members[0]))
-    return {agent: to_input @ P for agent, P in zip(members, poses, strict=True)}, withdrawn
+    placed = zip(members, poses[: len(members)], strict=True)
+    return {agent: to_input @ P for agent, P in placed}, withdrawn
 
 
-def _link(members: Sequence[str], alignment: Alignment, known: _Agents) -> Link:
-    a, b = alignment.agents
-    assert alignment.T_a_b is not None
-    fixed = alignment.agents in known.by_hand
-    numbers = members.index(a), members.index(b)
-    return Link(*numbers, alignment.T_a_b, alignment.covariance, fixed)
-
-
-def _chained(
-    members: Sequence[str], tree: nx.Graph, alignments: Sequence[Alignment], known: _Agents
-) -> list[Transform]:
-    """Return each agent's pose in the level frame of the first, along the tree."""
-    start = known.level(members[0])
-    paths = nx.single_source_shortest_path(tree, members[0])
-    poses = []
-    for agent in members:
-        T = start
-        for a, b in pairwise(paths[agent]):
-            alignment = alignments[tree[a][b]["index"]]
-            assert alignment.T_a_b is not None
-            T = T @ (alignment.T_a_b if alignment.agents == (a, b) else inverse(alignment.T_a_b))
-        poses.append(T)
-    return poses
+def _believe(graph: nx.Graph, weights: Mapping[tuple[str, str], float]) -> None:
+    """Say of each edge how willingly it is followed: alignments before priors, if switched on."""
+    for edge, weight in weights.items():
+        entry = graph.edges[edge]
+        on = entry["weight"] >= BY_HAND or weight >= 0.5
+        if "prior" in entry:
+            entry["belief"] = 1.5 if on else 0.0
+        else:
+            entry["belief"] = entry["weight"] + (4.0 if on else 0.0)
 
 
 def _averaged(
@@ -217,7 +201,7 @@ def _averaged(
     agreed: list[int] = []
     while True:
         found = [misfit(link, poses, middles) for link in links]
-        near = [k for k, m in enumerate(found) if m.gap <= limits[0] and m.turn <= limits[1]]
+        near = [k for k, link in enumerate(links) if agrees(link, poses, middles, limits)]
         near = sorted({*near, *(k for k, link in enumerate(links) if link.fixed)})
         if near == agreed or set(near) < set(agreed):
             break
@@ -229,9 +213,7 @@ def _averaged(
 def _withdrawn(
     graph: nx.Graph,
     wrong: Mapping[tuple[str, str], Misfit],
-    alignments: Sequence[Alignment],
     config: GroupsConfig,
-    known: _Agents,
 ) -> dict[int, str]:
     """Return the alignments to withdraw by index, with the reasons."""
     agreed = graph.copy()
@@ -242,15 +224,22 @@ def _withdrawn(
         entry = graph.edges[a, b]
         path = nx.shortest_path(agreed, a, b) if nx.has_path(agreed, a, b) else [a, b]
         cycle = " - ".join([*path, a])
-        result[entry["index"]] = (
-            f"contradicts the cycle {cycle}: it is {off.gap:.2f} m and "
-            f"{np.degrees(off.turn):.1f}° off what the others say, {config.cycle_distance:g} m and "
-            f"{config.cycle_angle:g}° are allowed (confidence {entry['weight']:.2f})"
-        )
+        entries = [graph.edges[edge] for edge in pairwise([*path, a])]
+        names = dict.fromkeys(x["prior"].name for x in entries if "prior" in x)
+        if names:
+            cycle += f" with the {' and the '.join(names)}"
+        if "prior" not in entry:
+            result[entry["index"]] = (
+                f"contradicts the cycle {cycle}: it is {off.gap:.2f} m and "
+                f"{np.degrees(off.turn):.1f}° off what the others say, {config.cycle_distance:g} m "
+                f"and {config.cycle_angle:g}° are allowed (confidence {entry['weight']:.2f})"
+            )
         for edge in pairwise(path):
             other = graph.edges[edge]
             close = other["weight"] - entry["weight"] < config.cycle_margin
-            if frozenset(edge) in unsupported and close and other["weight"] < 2.0:
+            if "prior" in other or other["weight"] >= BY_HAND:
+                continue
+            if frozenset(edge) in unsupported and close:
                 result.setdefault(
                     other["index"],
                     f"the cycle {cycle} does not close and nothing else tells which of its "

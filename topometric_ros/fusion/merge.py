@@ -118,7 +118,7 @@ def place(
     by_hand = frozenset(pair for x, y in (fixed or {}) for pair in ((x, y), (y, x)))
     levels = {m.agent: m.T_level_input for m in maps}
     groups = group_agents(
-        agents, [x for x in alignments if x], config.groups, by_hand, _centres(maps), levels
+        agents, [x for x in alignments if x], config.groups, by_hand, _centres(maps), levels, priors
     )
     places = _placements(maps, groups, sources or {})
     return Placed(

@@ -24,6 +24,8 @@ _TIGHTEN = 1.4
 """Factor by which each round of the graduated kernel is less convex, as its authors have it."""
 _FLOOR = (0.01, np.radians(0.05))
 """Smallest standard deviations that an alignment is believed to have, m and rad."""
+_PRIOR_REACH = 4.3
+"""Standard deviations that a prior may be off: as far as `fusion.priors` allows."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Link:
 
     `covariance` is that of the alignment, (6, 6) over (x, y, z, roll, pitch, yaw), or None;
     `fixed` links were set by hand and are never switched off; without a covariance they hold as
-    they are.
+    they are. A `prior` may be off by as much as its covariance allows, direction by direction.
     """
 
     a: int
@@ -40,6 +42,7 @@ class Link:
     T_a_b: Transform
     covariance: NDArray[np.float64] | None = None
     fixed: bool = False
+    prior: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,21 @@ def misfit(link: Link, poses: Sequence[Transform], middles: NDArray[np.float64])
     return Misfit(float(np.linalg.norm(gap)), abs(turn))
 
 
+def agrees(
+    link: Link,
+    poses: Sequence[Transform],
+    middles: NDArray[np.float64],
+    limits: tuple[float, float],
+) -> bool:
+    """Whether the poses are as a link says: within the gap (m) and turn (rad), or a prior's own."""
+    if link.prior:
+        gap, turn, _, _ = _error(link, poses, middles)
+        off = np.array([*gap, turn])
+        return bool(off @ _allowance(link, poses, middles, limits) @ off <= 1.0)
+    found = misfit(link, poses, middles)
+    return found.gap <= limits[0] and found.turn <= limits[1]
+
+
 def switched_on(
     start: Sequence[Transform],
     links: Sequence[Link],
@@ -77,20 +95,20 @@ def switched_on(
     start : poses to start from; the first stays where it is
     links : Link
     middles : (n, 3) float64, the middle of each agent's map in its own frame, m
-    limits : the gap (m) and turn (rad) at which a link counts as wrong
+    limits : the gap (m) and turn (rad) at which a link counts as wrong; a prior's are its own
     trust : (L,) float64, what switching each link off costs; where the others leave open which link
         of a cycle is wrong, the one that costs least goes
     """
     poses = list(start)
     fixed = np.array([link.fixed for link in links])
+    allowance = np.array([_allowance(link, start, middles, limits) for link in links])
     weights = np.ones(len(links))
     control = 0.0
     for _ in range(_ROUNDS):
-        scale = np.column_stack([weights / limits[0] ** 2, weights / limits[1] ** 2])
-        poses = _least_squares(poses, links, middles, scale)
-        found = [misfit(link, poses, middles) for link in links]
-        squared = np.array([(m.gap / limits[0]) ** 2 + (m.turn / limits[1]) ** 2 for m in found])
-        squared /= trust
+        poses = _least_squares(poses, links, middles, weights[:, None, None] * allowance)
+        off = [_error(link, poses, middles)[:2] for link in links]
+        errors = np.array([[*gap, turn] for gap, turn in off])
+        squared = np.einsum("li,lij,lj->l", errors, allowance, errors) / trust
         if control == 0.0:
             if squared.max() <= 1.0:
                 return weights
@@ -117,23 +135,50 @@ def optimised(
     links : Link, all held to be right
     middles : (n, 3) float64, the middle of each agent's map in its own frame, m
     """
-    scale = np.array([_information(link, middles[link.b]) for link in links])
+    scale = np.array([_information(link, start, middles) for link in links])
     return _least_squares(list(start), links, middles, scale)
 
 
-def _information(link: Link, middle: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the weights of a link's gap and turn: one over its variances at b's middle."""
-    if link.fixed and link.covariance is None:
-        return 1e6 / _FLOOR[0] ** 2, 1e6 / _FLOOR[1] ** 2
+def _allowance(
+    link: Link,
+    poses: Sequence[Transform],
+    middles: NDArray[np.float64],
+    limits: tuple[float, float],
+) -> NDArray[np.float64]:
+    """Return the (4, 4) form that is one where a link's gap and turn are as large as allowed."""
+    squares = np.diag([limits[0]] * 3 + [limits[1]]) ** 2
+    if link.prior:
+        squares += _PRIOR_REACH**2 * _spread(link, poses, middles)
+    return np.asarray(np.linalg.inv(squares), dtype=np.float64)
+
+
+def _information(
+    link: Link, poses: Sequence[Transform], middles: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the weights (4, 4) of a link's gap and turn: one over the variances at b's middle."""
+    floor = np.array([_FLOOR[0]] * 3 + [_FLOOR[1]]) ** 2
     if link.covariance is None:
-        return 1.0 / _FLOOR[0] ** 2, 1.0 / _FLOOR[1] ** 2
-    x, y, z = link.T_a_b[:3, :3] @ middle
-    carry = np.hstack([np.eye(3), np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])])
+        return np.diag((1e6 if link.fixed else 1.0) / floor)
+    spread = _spread(link, poses, middles)
+    if link.prior:
+        return np.asarray(np.linalg.inv(spread + np.diag(floor)), dtype=np.float64)
+    place = max(float(np.trace(spread[:3, :3])) / 3.0, _FLOOR[0] ** 2)
+    turn = max(float(spread[3, 3]), _FLOOR[1] ** 2)
+    return np.diag(1.0 / np.array([place, place, place, turn]))
+
+
+def _spread(
+    link: Link, poses: Sequence[Transform], middles: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the covariance (4, 4), in the group's frame, of a link's gap and turn."""
+    assert link.covariance is not None
+    x, y, _ = link.T_a_b[:3, :3] @ middles[link.b]
     # Roll and pitch are held, not measured: their variance says nothing about the link.
     free = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
-    spread = carry[:, [0, 1, 2, 5]] @ link.covariance[free] @ carry[:, [0, 1, 2, 5]].T
-    place = max(float(np.trace(spread)) / 3.0, _FLOOR[0] ** 2)
-    return 1.0 / place, 1.0 / max(float(link.covariance[5, 5]), _FLOOR[1] ** 2)
+    carry = np.eye(4)
+    carry[:2, 3] = -y, x
+    carry[:3] = poses[link.a][:3, :3] @ carry[:3]
+    return carry @ link.covariance[free] @ carry.T
 
 
 def _error(
@@ -154,21 +199,20 @@ def _least_squares(
     middles: NDArray[np.float64],
     scale: NDArray[np.float64],
 ) -> list[Transform]:
-    """Gauss-Newton; each agent turns about its own middle. `scale` (L, 2) weighs gap and turn."""
+    """Gauss-Newton; each agent turns about its own middle. `scale` (L, 4, 4): gap and turn."""
     size = 4 * len(poses)
     for _ in range(_STEPS):
         H, g = np.zeros((size, size)), np.zeros(size)
-        for link, (by_gap, by_turn) in zip(links, scale, strict=True):
+        for link, weight in zip(links, scale, strict=True):
             gap, turn, middle_a, middle_b = _error(link, poses, middles)
             J = np.zeros((4, 8))
             arm = middle_b + gap - middle_a
             J[:3, 0] = (-arm[1], arm[0], 0.0)
             J[:3, 1:4], J[:3, 5:] = np.eye(3), -np.eye(3)
             J[3, 0], J[3, 4] = 1.0, -1.0
-            weight = np.array([by_gap, by_gap, by_gap, by_turn])
             rows = np.r_[4 * link.a : 4 * link.a + 4, 4 * link.b : 4 * link.b + 4]
-            H[np.ix_(rows, rows)] += J.T @ (weight[:, None] * J)
-            g[rows] += J.T @ (weight * np.r_[gap, turn])
+            H[np.ix_(rows, rows)] += J.T @ weight @ J
+            g[rows] += J.T @ (weight @ np.r_[gap, turn])
         # An agent whose links are all switched off stays where it is.
         H += 1e-9 * max(float(np.trace(H)), 1.0) / size * np.eye(size)
         move = np.zeros(size)
