@@ -90,7 +90,7 @@ def test_a_missing_kiss_matcher_gives_one_clear_line(
     said = capsys.readouterr().err.strip()
     assert "\n" not in said
     assert "kiss-matcher" in said
-    assert 'pip install ".[benchmark]"' in said
+    assert 'pip install -e ".[benchmark]"' in said
 
 
 def test_an_unknown_peer_is_told_with_the_known_ones():

@@ -49,6 +49,7 @@ def extract(options: argparse.Namespace) -> int:
     from topometric_ros.io.trajectories import write_trajectories
     from topometric_ros.runtime.bag_sources import parse_source, require_name
     from topometric_ros.runtime.sources import load_source
+    from topometric_ros.visualization.page import counted
 
     source = parse_source(options.cloud)
     if options.agent is not None:
@@ -65,8 +66,9 @@ def extract(options: argparse.Namespace) -> int:
     write_trajectories(folder / "map.tmap", [loaded.trajectory] if loaded.trajectory else [])
     write_json(folder / "timings.json", timings)
     lines = [
-        f"{m.agent}: {len(m.rooms)} rooms, {len(m.passages)} passages, {len(m.storeys)} storeys, "
-        f"{len(m.voxels)} voxels in {sum(loaded.timings.values()):.1f} s of CPU time",
+        f"{m.agent}: {counted(len(m.rooms), 'room')}, {counted(len(m.passages), 'passage')}, "
+        f"{counted(len(m.storeys), 'storey')}, {counted(len(m.voxels), 'voxel')} "
+        f"in {sum(loaded.timings.values()):.1f} s of CPU time",
         *warning_lines(m.warnings),
         *note_lines(loaded.quality),
         f"written to {folder}",

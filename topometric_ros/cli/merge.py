@@ -122,5 +122,7 @@ def result_lines(result: MergeResult) -> Iterator[str]:
     for alignment in result.alignments:
         yield f"{' - '.join(alignment.agents)}: {alignment.status}: {alignment.reason}"
         if alignment.accepted and alignment.T_a_b is not None:
+            a, b = alignment.agents
+            yield f"  T_{a}_{b}, from the frame of {b} to that of {a}, m:"
             yield from ("  " + "  ".join(f"{v: 10.5f}" for v in row) for row in alignment.T_a_b)
     yield from warning_lines(result.warnings)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
 
-EXTRA = 'pip install ".[benchmark]"'
+EXTRA = 'pip install -e ".[benchmark]"'
 
 
 class PeerError(TopometricError):
