@@ -73,6 +73,20 @@ def test_the_fast_dds_profile_gives_a_cloud_room_in_shared_memory() -> None:
     assert sizes == [64 * 1024 * 1024]
 
 
+def test_the_operator_and_nobody_else_may_call_what_the_nodes_offer() -> None:
+    tree = ElementTree.parse(ROOT / "security" / "policies.xml")
+    offered, called = set(), {}
+    for enclave in tree.iter("enclave"):
+        path = enclave.get("path", "")
+        for services in enclave.iter("services"):
+            names = {e.text or "" for e in services.iter("service")}
+            if services.get("reply") == "ALLOW":
+                offered |= {name.replace("~", path) for name in names}
+            else:
+                called[path] = names
+    assert called == {"/operator": offered}
+
+
 def test_a_simulated_fleet_ships() -> None:
     fleet = read_agents_file(ROOT / "config" / "simulated_fleet.yaml")
     assert fleet.simulation is not None
@@ -105,24 +119,31 @@ def test_the_launch_file_describes_every_argument() -> None:
     assert all("description" in {k.arg for k in call.keywords} for call in arguments)
 
 
-def test_the_launch_file_starts_an_extractor_for_each_agent_and_a_merger() -> None:
+@pytest.mark.parametrize(
+    ("file", "started"),
+    [
+        ("topometric", ["extractor", "extractor", "merger"]),
+        ("simulated_fleet", ["extractor", "extractor", "player", "merger"]),
+    ],
+)
+def test_a_launch_file_starts_an_extractor_for_each_agent_and_a_merger(
+    file: str, started: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     launch = pytest.importorskip("launch", reason="ROS 2 launch has no wheel; apt has it")
     pytest.importorskip("launch_ros")
     if not hasattr(launch, "LaunchService"):
         pytest.skip("ROS 2 launch has no wheel; apt has it")
+    packages = "ament_index_python.packages.get_package_share_directory"
+    monkeypatch.setattr(packages, lambda name: str(ROOT))
+    source = launch.launch_description_sources.PythonLaunchDescriptionSource(
+        str(ROOT / "launch" / f"{file}.launch.py")
+    )
     context = launch.LaunchContext()
-    spec = importlib.util.spec_from_file_location("it", ROOT / "launch/topometric.launch.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    context.launch_configurations |= {
-        "agents_file": str(ROOT / "config" / "agents.yaml"),
-        "params_file": "",
-        "use_sim_time": "false",
-        "log_level": "info",
-        "managed": "false",
-        "fastdds_profile": "",
-    }
-    actions = module._processes(context)
-    assert [type(action).__name__ for action in actions] == ["Node", "Node", "Node"]
+    waiting, names = list(source.get_launch_description(context).entities), []
+    while waiting:
+        entity = waiting.pop(0)
+        if type(entity).__name__ == "Node":
+            names.append(entity.node_executable)
+            continue
+        waiting = [*(entity.visit(context) or []), *waiting]
+    assert names == started

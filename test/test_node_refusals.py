@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from test.helpers_io import random_map
-from test.helpers_ros import missing, private_context
+from test.helpers_ros import Graph, missing, private_context, wait_for
 from topometric_ros.alignment import AgentPlacement, AgentStatus, Placed
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.nodes.agent_names import check_agent, parse_agents
@@ -21,12 +21,16 @@ if missing():
     pytest.skip(missing(), allow_module_level=True)
 
 import rclpy
+from sensor_msgs.msg import LaserScan, PointCloud2
+from topometric_msgs.msg import TopometricMap as MapMessage
 from topometric_msgs.srv import SaveMap, SetAlignment
 
-from topometric_ros.nodes import services
+from topometric_ros.nodes import qos, services
+from topometric_ros.nodes.cloud_subscription import CloudSubscription
 from topometric_ros.nodes.diagnostics import Level
 from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.merger_state import StateKeeper
+from topometric_ros.nodes.roster import Roster
 from topometric_ros.nodes.running import TopometricNode
 
 
@@ -102,6 +106,30 @@ def test_every_call_of_a_service_gets_an_answer(node: TopometricNode, tmp_path: 
     response = SimpleNamespace(SUCCESS=0)
     assert services.written(str(tmp_path / "map.tmap"), write, response)
     assert saved == [tmp_path / "map.tmap"]
+
+
+def test_why_nothing_arrives_is_told_where_the_graph_shows_it(
+    node: TopometricNode, own: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud = CloudSubscription(node, "auto", print)
+    assert cloud.silence() == "nobody publishes /cloud"
+    wrong = own.node.create_publisher(LaserScan, "cloud", 1)
+    wait_for(lambda: "LaserScan, expected" in cloud.silence(), 20.0, "the wrong type")
+    assert cloud.publishers == 0, "what it offers says nothing about clouds"
+    own.node.destroy_publisher(wrong)
+    right = own.node.create_publisher(PointCloud2, "cloud", 1)
+    wait_for(lambda: "but nothing has arrived" in cloud.silence(), 20.0, "the right type")
+
+    everyone = Roster(node, {}, discover=True)
+    assert "nobody publishes a `topometric_map`" in everyone.silence()
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", "127.0.0.1:11811")
+    assert everyone.silence().endswith("or set ROS_SUPER_CLIENT=TRUE")
+    listed = Roster(node, {"robot2": "/robto2"}, discover=False)
+    there = own.node.create_publisher(MapMessage, "/robot2/topometric_map", qos.SNAPSHOT)
+    told = "/robto2/topometric_map; there is /robot2/topometric_map, which is not listed"
+    wait_for(lambda: told in listed.silence(), 20.0, "the name that was misspelt")
+    for publisher in (right, there):
+        own.node.destroy_publisher(publisher)
 
 
 def test_two_extractors_of_one_agent_are_told_to_the_operator() -> None:

@@ -12,6 +12,7 @@ from topometric_ros.nodes import qos
 from topometric_ros.nodes.running import TopometricNode
 
 TOPIC = "cloud"
+_TYPE = "sensor_msgs/msg/PointCloud2"
 
 _LOOK_PERIOD_S = 0.5
 
@@ -50,6 +51,16 @@ class CloudSubscription:
         """How many publishers the topic has."""
         return len(self._offers())
 
+    def silence(self) -> str:
+        """Return in words why nothing has arrived, as far as the graph tells."""
+        found = self._node.get_publishers_info_by_topic(self._topic)
+        if not found:
+            return f"nobody publishes {self._topic}"
+        types = sorted({publisher.topic_type for publisher in found})
+        if _TYPE not in types:
+            return f"{self._topic} is of type {', '.join(types)}, expected {_TYPE}"
+        return f"{self._topic} is published, but nothing has arrived ({self.profile})"
+
     def look(self) -> None:
         """Subscribe anew where the publishers present offer another profile."""
         offers = self._offers()
@@ -63,7 +74,7 @@ class CloudSubscription:
 
     def _offers(self) -> list[QoSProfile]:
         found = self._node.get_publishers_info_by_topic(self._topic)
-        return [publisher.qos_profile for publisher in found]
+        return [publisher.qos_profile for publisher in found if publisher.topic_type == _TYPE]
 
     def _subscribe(self) -> Subscription:
         self._node.get_logger().info(f"subscribing {self._topic}: {self.profile}")

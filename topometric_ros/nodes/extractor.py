@@ -113,7 +113,8 @@ class Extractor(TopometricNode):
             tf.listen(self, self._on_transforms)
         self._cloud = CloudSubscription(self, self._own.cloud_qos, self._on_cloud)
         self.every(_PACE_S, self._tick)
-        self.every(_REPORT_S, self._publish_diagnostics)
+        self._begun = time.monotonic()
+        self.every(_REPORT_S, self._look)
 
     def _stop_work(self, limit_s: float) -> bool:
         return self._worker.stop(limit_s)
@@ -232,6 +233,13 @@ class Extractor(TopometricNode):
         if text != self.report.failure:
             self.get_logger().error(f"no map: {text}")
         self.report.failure = text
+
+    def _look(self) -> None:
+        """Tell the operator how it stands, and once in the log where no cloud has come at all."""
+        silence = "" if self.report.received else self._cloud.silence()
+        if self.report.hear(silence, self._begun):
+            self.get_logger().warning(f"no cloud yet: {silence}")
+        self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
         session = self.input.session

@@ -10,6 +10,9 @@ from topometric_ros.extraction.quality import Quality
 from topometric_ros.nodes.diagnostics import Level, Status
 from topometric_ros.topometric_map import TopometricMap
 
+_SILENT_S = 10.0
+"""How long after the start it is no wonder that nothing has arrived."""
+
 _LOST_TOLD_S = 60.0
 """How long scans that were lost stay a warning."""
 
@@ -21,6 +24,8 @@ class ExtractorReport:
     `lost` scans that the queue had no room for, of which the map holds nothing."""
 
     received: int = 0
+    silence: str = ""
+    """Why nothing has arrived so far."""
     refused: int = 0
     refusal: str = ""
     missing: str = ""
@@ -30,6 +35,7 @@ class ExtractorReport:
     lost_at: float = -float("inf")
     """When scans were last lost, s of the monotonic clock."""
     failure: str = ""
+    _silence_told: bool = False
     published: TopometricMap | None = None
     quality: Quality | None = None
     cpu_s: float = 0.0
@@ -50,6 +56,18 @@ class ExtractorReport:
         is_new = told != self.missing
         self.missing = told
         return is_new
+
+    def hear(self, silence: str, since: float) -> bool:
+        """Note why nothing has arrived since the start, s of the monotonic clock.
+
+        Return whether that is to be told now; it is told once.
+        """
+        self.silence = "" if self.received else silence
+        due = bool(self.silence) and not self._silence_told
+        if not due or time.monotonic() - since < _SILENT_S:
+            return False
+        self._silence_told = True
+        return True
 
     def lose(self, scans: int) -> bool:
         """Count scans that were lost; return whether none had been for a while."""
@@ -79,8 +97,7 @@ class ExtractorReport:
         if self.refusal:
             level, message = Level.ERROR, f"last cloud refused: {self.refusal}"
         elif not self.received:
-            level = Level.WARN
-            message = "no cloud yet" if numbers["publishers"] else "nobody publishes the topic"
+            level, message = Level.WARN, f"no cloud yet: {self.silence}"
         elif self._loses():
             level, message = Level.WARN, f"{self.lost} scans lost: their queue was full"
             if numbers.get("waits for"):

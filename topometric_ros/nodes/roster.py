@@ -6,6 +6,7 @@ nothing new to say is silent for hours.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Container, Mapping
 
@@ -22,6 +23,8 @@ from topometric_ros.runtime.agents_file import agent_of_namespace
 
 TOPIC = "topometric_map"
 _TYPE = "topometric_msgs/msg/TopometricMap"
+_SILENT_S = 10.0
+"""How long after the start it is no wonder that nobody publishes a map."""
 _MOST = 64
 """Topics that are listened to at most: whoever may publish must not be able to fill the memory."""
 
@@ -38,6 +41,7 @@ class Roster:
         self._last_seen: dict[str, float] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._told_full = False
+        self._began: float | None = None
         for agent, place in self.listed.items():
             if is_map_file(place):
                 self.reports[agent] = InputReport(place)
@@ -57,6 +61,7 @@ class Roster:
         for agent in self.inboxes:
             self._last_seen[agent] = time.monotonic()
             self._subscribe(agent, self.reports[agent].topic)
+        self._began = time.monotonic()
         self.look()
 
     def recall(self, agent: str, source: str) -> InputReport:
@@ -91,6 +96,10 @@ class Roster:
                     f"{report.topic} has {report.publishers} publishers: do several extractors "
                     f"take themselves for {agent}? Maps of the session that began last count"
                 )
+        if self._began is not None and time.monotonic() - self._began > _SILENT_S:
+            self._began = None
+            if silence := self.silence():
+                self._node.get_logger().warning(silence)
 
     def drop(self, longer_than: float, kept: Container[str]) -> None:
         """Take who was found, not listed, and has been gone for so long (s) off the list.
@@ -149,13 +158,9 @@ class Roster:
 
     def _find(self) -> None:
         topics = {report.topic for report in self.reports.values()}
-        for topic, types in sorted(self._node.get_topic_names_and_types()):
-            namespace, _, last = topic.rpartition("/")
-            if last != TOPIC or _TYPE not in types or topic in topics:
-                continue
-            agent = agent_of_namespace(namespace) or "agent"
-            # A topic that somebody only listens to is no agent's.
-            if agent in self.inboxes or agent in self.listed or not self._publishers(topic):
+        for topic in self._published():
+            agent = agent_of_namespace(topic.rpartition("/")[0]) or "agent"
+            if topic in topics or agent in self.inboxes or agent in self.listed:
                 continue
             if len(self.reports) >= _MOST:
                 if not self._told_full:
@@ -169,6 +174,28 @@ class Roster:
             self._node.get_logger().info(f"found {agent}: {topic}")
             self._add(agent, topic)
             self._subscribe(agent, topic)
+
+    def silence(self) -> str:
+        """Return in words of whom no map has come and who publishes maps that nobody listens to."""
+        silent = [self.reports[a] for a in self.inboxes if self.reports[a].newest is None]
+        absent = [report.topic for report in silent if not report.publishers]
+        heard = {self.reports[agent].topic for agent in self.inboxes}
+        others = [topic for topic in self._published() if topic not in heard]
+        if not self.inboxes and self.discover:
+            told = "no agent found yet: nobody publishes a `topometric_map` that is seen here"
+            by_server = "; with a discovery server list `agents`, or set ROS_SUPER_CLIENT=TRUE"
+            return told + (by_server if os.environ.get("ROS_DISCOVERY_SERVER") else "")
+        if not absent:
+            return ""
+        told = f"no map yet: nobody publishes {', '.join(absent)}"
+        return told + (f"; there is {', '.join(others)}, which is not listed" if others else "")
+
+    def _published(self) -> list[str]:
+        """Return the topics on which somebody publishes an agent's map."""
+        named = sorted(self._node.get_topic_names_and_types())
+        maps = [t for t, types in named if t.rpartition("/")[2] == TOPIC and _TYPE in types]
+        # A topic that somebody only listens to is no agent's.
+        return [topic for topic in maps if self._publishers(topic)]
 
     def _publishers(self, topic: str) -> int:
         return int(self._node.count_publishers(topic))
