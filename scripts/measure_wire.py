@@ -3,7 +3,8 @@
     python scripts/measure_wire.py PAIRS [--steps 16 8 4 2]
 
 PAIRS holds one folder a pair: a.ply, b.ply and truth.json (a_from_b). Each cloud is extracted once,
-its mean points are rounded to each number of steps an axis, and the pair is aligned again; the
+its mean points are rounded to each number of steps an axis (an odd one has a step for the voxel's
+middle, 1 is what the extractor sends without `mean_points`), and the pair is aligned again; the
 error is the mean distance by which the found transform displaces the second map's voxels. Prints
 Markdown tables.
 """
@@ -26,11 +27,14 @@ from topometric_ros.io import packing
 from topometric_ros.io.clouds import read_cloud
 from topometric_ros.runtime.config import preset_config
 from topometric_ros.runtime.extract_map import extract_map
+from topometric_ros.runtime.message_codec import without_mean_points
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels import grid
 
 FINEST = 16
+_EXACT = 240
+"""Steps in which the middles of all coarser ones can be told."""
 
 
 def set_steps(steps: int) -> None:
@@ -38,15 +42,24 @@ def set_steps(steps: int) -> None:
     topometric_map.OFFSET_STEPS = grid.OFFSET_STEPS = steps
 
 
+def stepped(m: TopometricMap, steps: int) -> np.ndarray:
+    """Return the steps (N, 3), from 0, that the mean points of a map of the finest steps lie in."""
+    return ((m.offsets + 0.5 + FINEST // 2) * steps // FINEST).astype(np.uint16)
+
+
 def rounded(m: TopometricMap, steps: int) -> TopometricMap:
     """Return a map of the finest steps with its mean points in coarser ones."""
-    set_steps(steps)
-    return dataclasses.replace(m, offsets=m.offsets // np.int8(FINEST // steps))
+    if steps == 1:
+        set_steps(4)
+        return without_mean_points(m)
+    set_steps(_EXACT)
+    middles = (stepped(m, steps) + 0.5) / steps - 0.5
+    return dataclasses.replace(m, offsets=np.floor(middles * _EXACT).astype(np.int8))
 
 
 def sizes(m: TopometricMap, steps: int) -> tuple[int, int, int]:
     """Return the bytes of a map's mean points, of its other voxel data, and of all the rest."""
-    raw = (m.offsets + steps // 2).astype(np.uint16) @ np.array([1, steps, steps**2], np.uint16)
+    raw = stepped(m, steps) @ np.array([1, steps, steps**2], np.uint16)
     raw = raw.astype(np.uint8) if steps**3 <= 256 else raw
     points = len(zstandard.ZstdCompressor(level=15).compress(raw.tobytes()))
     voxels = len(packing.pack_coords(m.voxels))
@@ -91,7 +104,7 @@ def main() -> None:
                 D = found - np.array(truth)
                 moved = points @ D[:3, :3].T + D[:3, 3]
                 error = f"{np.linalg.norm(moved, axis=1).mean() * 1e3:.1f}"
-            parts = np.sum([sizes(m, steps) for m in pair], axis=0)
+            parts = np.sum([sizes(m, steps) for m in maps], axis=0)
             cells.append(f"{parts[0] / 1e3:.0f}, {parts.sum() / raw:.2%}, {error}")
         row = [folder.name, *(f"{n / 1e3:.0f}" for n in (raw, parts[1], parts[2])), *cells]
         print("| " + " | ".join(row) + " |", flush=True)

@@ -24,6 +24,10 @@ from topometric_ros.fusion.fuse import FuseConfig, fuse
 from topometric_ros.fusion.merge import merge
 from topometric_ros.io.merge_files import write_merge_files
 from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.visualization.change_marks import draw_changes
+from topometric_ros.visualization.figures import global_figure
+from topometric_ros.visualization.plan import storey_plans
+from topometric_ros.visualization.sheet import Pose, Sheet
 
 HOUR = 3_600_000_000_000
 TABLE = (0.8, 3.2, 1.2, 0.8, 0.8)
@@ -97,6 +101,22 @@ def test_maps_of_one_time_are_marked_and_nothing_is_dropped(
     write_merge_files(tmp_path, whole)
     written = (tmp_path / "changes.ply").read_bytes()
     assert b"element vertex %d" % sum(len(c.points) for c in result.changes) in written
+
+
+def test_changes_are_drawn_on_the_storey_where_they_were_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    a, b = visits(monkeypatch, 0, HOUR)
+    result = fused(a, b)
+    plans = [(plan, Pose()) for plan in storey_plans(result.map)]
+    drawn = draw_changes(Sheet(), result.changes, result.map, plans)
+    assert [name for name, _, _ in drawn] == ["gone since", "new since"]
+    unsure = [dataclasses.replace(change, ordered=False) for change in result.changes]
+    drawn = draw_changes(Sheet(), unsure, result.map, plans)
+    assert [name for name, _, _ in drawn] == ["seen by one only"]
+    still = dataclasses.replace(result, changes=())
+    pictures = [global_figure(x, ["a", "b"], ["a", "b"]) for x in (result, still)]
+    assert pictures[0] != pictures[1]
 
 
 def test_nothing_changes_where_nothing_moved() -> None:

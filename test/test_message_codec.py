@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -36,6 +37,7 @@ from topometric_ros.runtime.message_codec import (
     header,
     map_from_message,
     map_to_message,
+    without_mean_points,
 )
 
 
@@ -156,6 +158,15 @@ def merge_result() -> MergeResult:
     m = random_map()
     fused = GlobalMap(m, np.ones(len(m.voxels), np.uint32))
     return MergeResult("global", placements, (accepted, refused), fused, ("mind this",))
+
+
+def test_a_map_without_mean_points_is_the_same_but_for_these_and_much_smaller() -> None:
+    m = random_map()
+    bare = without_mean_points(m)
+    message = map_to_message(bare, message_classes())
+    assert len(message.offsets) < len(map_to_message(m, message_classes()).offsets) / 5
+    assert not map_from_message(message).map.offsets.any()
+    assert_same_map(dataclasses.replace(bare, offsets=m.offsets), m)
 
 
 def test_alignments_survive_the_message_bit_by_bit() -> None:

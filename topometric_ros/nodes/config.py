@@ -70,6 +70,11 @@ class ExtractorNodeConfig:
         minimum=0.0,
         maximum=1.0,
     )
+    mean_points: bool = parameter(
+        True,
+        "Publish to a quarter of a voxel where in it the surface lies; without, for thin links, a "
+        "message is 0.7 to 2 % of its cloud, not 2 to 4 %, and transforms are off by 1 to 6 cm.",
+    )
     scan_queue: int = parameter(
         200,
         "Scans that may wait, for a running extraction or for /tf; then the oldest are dropped.",

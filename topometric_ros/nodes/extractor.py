@@ -34,7 +34,7 @@ from topometric_ros.runtime.agent_input import AgentInput
 from topometric_ros.runtime.agents_file import agent_of_namespace
 from topometric_ros.runtime.cloud_message import map_cloud
 from topometric_ros.runtime.extractor_session import ExtractorSession
-from topometric_ros.runtime.message_codec import map_to_message
+from topometric_ros.runtime.message_codec import map_to_message, without_mean_points
 
 _TRANSFORMS_WAITING = 100_000
 _PACE_S = 0.5
@@ -216,7 +216,7 @@ class Extractor(TopometricNode):
         self._extracted, self._last_extraction = self._state(), time.monotonic()
         session.extraction = self._wanted
         result = session.extract()
-        m = result.map
+        m = result.map if self._own.mean_points else without_mean_points(result.map)
         stamp = Time(nanoseconds=m.stamp).to_msg()
         self._maps.publish(map_to_message(m, self._classes))
         self._rooms.publish(map_cloud(m, self._classes, m.stamp))

@@ -107,6 +107,11 @@ def map_to_message(
         raise CodecError(f"map of {m.agent!r}: {error}") from error
 
 
+def without_mean_points(m: TopometricMap) -> TopometricMap:
+    """Return a map whose message is small: of the surface it says in which voxels it lies."""
+    return dataclasses.replace(m, offsets=np.zeros_like(m.offsets))
+
+
 def map_from_message(message: Any, most: int = MAXIMUM_ITEMS) -> ReceivedMap:
     """Return the map that a topometric_msgs/TopometricMap of any library holds.
 

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from topometric_ros.alignment import GlobalMap
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
+from topometric_ros.visualization.change_marks import draw_changes
 from topometric_ros.visualization.page import number
 from topometric_ros.visualization.plan import Plan, main_direction, storey_plans
 from topometric_ros.visualization.sheet import (
@@ -52,6 +53,7 @@ def global_figure(
 ) -> bytes | None:
     """Draw the global map; what each agent saw is outlined in the agent's colour.
 
+    What has changed between their visits is filled, see :mod:`change_marks`.
     `agents` names the bits of `global_map.agents`, `placed` those of them that are in the map.
     """
     sheet = Sheet()
@@ -64,7 +66,8 @@ def global_figure(
             # Each line lies a little outside the last one, so that none hides another.
             mask = ndimage.binary_dilation(mask, iterations=1 + 2 * rank)
             sheet.outline(mask, origin, plan.cell, pose, hex_colour(agent_colour(k)), 2.4)
-    sheet.legend([(name, hex_colour(agent_colour(k)), "line") for k, name in shown.items()])
+    legend = [(name, hex_colour(agent_colour(k)), "line") for k, name in shown.items()]
+    sheet.legend([*legend, *draw_changes(sheet, global_map.changes, global_map.map, plans)])
     return sheet.png(width=10.0) if plans else None
 
 

@@ -142,6 +142,8 @@ def _global_section(result: MergeResult, names: Sequence[str]) -> str:
     png = global_figure(result.global_map, names, placed)
     size = _size(m)
     caption = f"{size}, in frame {result.global_frame}. Outlined: what each agent saw."
+    if result.global_map.changes:
+        caption += " Filled: what has changed between their visits."
     if len(placed) < 2:
         caption = f"{size}, in frame {result.global_frame}: the map of {_listed(placed)} alone."
     return (
