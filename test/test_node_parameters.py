@@ -26,7 +26,8 @@ import rclpy
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from topometric_ros.nodes import parameters
-from topometric_ros.nodes.running import TopometricNode
+from topometric_ros.nodes.parameter_files import passed_over
+from topometric_ros.nodes.running import BAD_INPUT, TopometricNode, run
 
 
 @dataclass(frozen=True)
@@ -189,3 +190,41 @@ def test_a_dump_of_all_parameters_starts_the_node_again_and_so_does_the_file_tha
     assert declared("--params-file", str(file)) == (configs, content)
     shipped = Path(__file__).parent.parent / "config" / f"{name}.yaml"
     assert declared("--params-file", str(shipped))[0] == (own, stage)
+
+
+@pytest.mark.parametrize("text", [None, "/**:\n  ros__parameters: [1\n", "/**:\n  rate: 1.0\n"])
+def test_a_parameter_file_that_cannot_be_read_ends_the_node_in_one_line(
+    text: str | None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "params.yaml"
+    if text is not None:
+        file.write_text(text)
+    assert run(TopometricNode, ["node", "--ros-args", "--params-file", str(file)]) == BAD_INPUT
+    told = capfd.readouterr().err
+    assert "params.yaml" in told
+    assert "Traceback" not in told
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ("/robot1/extractor", "it names /robot1/extractor"),
+        ("extractor", "it names /extractor"),
+        ("/robot7/extractr", "it names /robot7/extractr"),
+        ("/robot7/extractor /robot1/extractor", ""),
+        ("/merger", ""),
+        ("/**", ""),
+        ("/*/extractor", ""),
+        ("/**/extractor", ""),
+        ("/**/robot7/extractor", ""),
+    ],
+)
+def test_a_parameter_file_for_a_node_called_otherwise_is_told(
+    names: str, told: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("".join(f"{n}:\n  ros__parameters:\n    a: 1\n" for n in names.split()))
+    (*lines,) = passed_over(["x", "--ros-args", "--params-file", str(file)], "/robot7/extractor")
+    assert [line.partition("; ")[0].partition("extractor: ")[2] for line in lines] == (
+        [told] if told else []
+    )

@@ -109,6 +109,15 @@ def test_a_reset_and_another_map_frame_begin_a_new_session() -> None:
     assert (one.session, one.frame_id, one.counts.map_clouds) == ("robot1-2", "other", 1)
 
 
+def test_a_frame_that_gets_its_name_later_makes_another_map() -> None:
+    one = session()
+    one.add_map_cloud(flat(), "", 0)
+    one.extract()
+    one.add_map_cloud(flat(), "map", 0)
+    assert one.change() == 1.0
+    assert (one.extract().map.frame_id, one.session) == ("map", "robot1-0")
+
+
 def test_a_cloud_below_the_map_s_frame_is_a_scan() -> None:
     one = AgentInput(session())
     one.add_transforms(transforms(("map", "odom", np.eye(4)), stamp=START), True)

@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from topometric_ros.errors import TopometricError
+from topometric_ros.nodes.parameter_files import passed_over
 
 logger = logging.getLogger(__name__)
 
@@ -116,22 +117,26 @@ def run(
 
     A managed one waits to be configured and activated; any other one begins at once.
 
-    Zero after a signal, two with one line in the log where the node refuses its parameters.
+    Zero after a signal, two with one line in the log where the node or ROS refuses its parameters.
 
     The signals only set a flag: rclpy's own handlers shut the middleware down at once, under
     whatever thread is publishing at that moment.
     """
+    given = list(sys.argv if arguments is None else arguments)
+    try:
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # Such as for a parameter file that is not there, or no YAML.
+        rclpy.logging.get_logger("topometric_ros").fatal(str(error).partition(", at /")[0])
+        return BAD_INPUT
     told_to_end = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: told_to_end.set())
-    rclpy.init(
-        args=list(sys.argv if arguments is None else arguments),
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
     # Services may wait for a computation, so they have a thread beside the subscriptions' own.
     executor = MultiThreadedExecutor(num_threads=2)
     try:
         node = make_node()
+        for line in passed_over(given, node.get_fully_qualified_name()):
+            node.get_logger().warning(line)
         if not managed:
             node.configure()
             node.activate()

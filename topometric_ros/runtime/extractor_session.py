@@ -166,7 +166,7 @@ class ExtractorSession:
         It is 1 before the first map and after an extraction that failed. Of scans it is the cells
         in which they are gathered that count, of map clouds the map's voxels.
         """
-        if self.map is None or self._failed:
+        if self.map is None or self._failed or self.map.frame_id != self.frame_id:
             return 1.0
         share = 0.0 if self._scans is None else self._scans.change()
         if self._cloud is None or self._cloud is self._extracted:
