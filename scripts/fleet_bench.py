@@ -23,7 +23,6 @@ from topometric_ros.simulation.case_bags import write_bag  # noqa: E402
 from topometric_ros.simulation.cases import SimulationConfig, simulate  # noqa: E402
 
 TICKS = os.sysconf("SC_CLK_TCK")
-MIB = 1 << 20
 
 
 @dataclass(frozen=True)

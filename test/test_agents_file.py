@@ -29,7 +29,6 @@ from topometric_ros.runtime.fleet_processes import (
 def test_an_agent_needs_only_an_id() -> None:
     (agent,) = parse_agents({"agents": [{"id": "robot1"}]}).agents
     assert (agent.namespace, agent.cloud, agent.mode) == ("/robot1", "cloud", "auto")
-    assert agent.map_topic == "/robot1/topometric_map"
 
 
 def test_nested_and_dotted_parameters_are_the_same() -> None:

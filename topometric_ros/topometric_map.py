@@ -7,7 +7,9 @@ input). Voxels are integer coordinates on a lattice of cell centres `origin + k 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,7 +210,7 @@ class TopometricMap:
             low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
         return Building(
             storeys=tuple(s.id for s in sorted(self.storeys, key=lambda s: s.floor_z)),
-            bounds=(_triple(low), _triple(high)),
+            bounds=(triple(low), triple(high)),
             floor_area=float(sum(room.floor_area for room in self.rooms)),
         )
 
@@ -227,7 +229,8 @@ class TopometricMap:
         return next((d for d in self.descriptors if d.name == name), None)
 
 
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+def triple(values: Iterable[Any]) -> tuple[float, float, float]:
+    """Return three numbers, such as a row of an array, as a tuple of Python's floats."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from topometric_ros.extraction.attributes import RoomAttributes, room_attributes
 from topometric_ros.extraction.mapped_rooms import MappedRooms
 from topometric_ros.extraction.room_kinds import GeometricClassifier, RoomClassifier, RoomView, told
-from topometric_ros.topometric_map import NO_ROOM, Passage, Room
+from topometric_ros.topometric_map import NO_ROOM, Passage, Room, triple
 from topometric_ros.voxels.grid import VoxelGrid
 
 
@@ -111,17 +111,12 @@ def _room(
     return Room(
         id=room_id,
         storey=storey,
-        centroid=_triple(centres.mean(0)),
-        bounds=(_triple(centres.min(0) - half), _triple(centres.max(0) + half)),
+        centroid=triple(centres.mean(0)),
+        bounds=(triple(centres.min(0) - half), triple(centres.max(0) + half)),
         voxels=len(rows),
         area=columns * grid.voxel_size**2,
         isolated=isolated,
     )
-
-
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
 
 
 @njit(cache=True, nogil=True)

@@ -28,7 +28,7 @@ from topometric_ros.extraction.stairs import flights
 from topometric_ros.extraction.storeys import RASTER
 from topometric_ros.extraction.viewpoints import viewpoints
 from topometric_ros.stopwatch import Stopwatch
-from topometric_ros.topometric_map import Storey, TopometricMap
+from topometric_ros.topometric_map import Storey, TopometricMap, triple
 from topometric_ros.voxels.grid import in_morton_order, surface_offsets
 
 logger = logging.getLogger(__name__)
@@ -104,7 +104,6 @@ def extract(
         passages = passages_of(found, config.passages)
     with watch.stage("assemble"):
         rooms = assemble_rooms(found, passages, classifier)
-    x, y, z = (float(v) for v in grid.origin)
     result = TopometricMap(
         agent=agent,
         session=session,
@@ -112,7 +111,7 @@ def extract(
         frame_id=frame_id,
         stamp=stamp,
         voxel_size=grid.voxel_size,
-        origin=(x, y, z),
+        origin=triple(grid.origin),
         voxels=grid.coords,
         offsets=offsets,
         room=room,

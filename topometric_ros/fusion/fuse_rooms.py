@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.fusion.poses import Transform, apply
-from topometric_ros.topometric_map import Passage, TopometricMap
+from topometric_ros.topometric_map import Passage, TopometricMap, triple
 from topometric_ros.voxels.morton import morton_encode
 
 _STRIDE = 10_000
@@ -130,7 +130,7 @@ def fused_passages(
             if first == second or not {first, second} <= known:
                 continue
             position = apply(fragment.T, np.array([passage.position]))[0]
-            moved = replace(passage, rooms=(first, second), position=_triple(position))
+            moved = replace(passage, rooms=(first, second), position=triple(position))
             same_pair = clusters.setdefault((first, second), [])
             for cluster in same_pair:
                 if np.linalg.norm(position - cluster[0].position) <= distance:
@@ -146,7 +146,7 @@ def _merged(cluster: Sequence[Passage]) -> Passage:
     surest = max(cluster, key=lambda passage: (passage.kind != "unknown", passage.confidence))
     return replace(
         surest,
-        position=_triple(np.mean([passage.position for passage in cluster], axis=0)),
+        position=triple(np.mean([passage.position for passage in cluster], axis=0)),
         width=max(passage.width for passage in cluster),
         confidence=max(passage.confidence for passage in cluster),
     )
@@ -163,8 +163,3 @@ def storeys_of_rooms(
             if number in known:
                 storey_of.setdefault(number, fragment.storey_of[old.storey])
     return storey_of
-
-
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

@@ -27,6 +27,7 @@ from topometric_ros.topometric_map import (
     Storey,
     StoreyLayers,
     TopometricMap,
+    triple,
 )
 
 _MASKS = ("wall", "furniture", "free", "bare")
@@ -173,7 +174,7 @@ def _map_from(fields: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         frame_id=str(fields["frame_id"]),
         stamp=int(fields["stamp"]),
         voxel_size=float(fields["voxel_size"]),
-        origin=_triple(fields["origin"]),
+        origin=triple(fields["origin"]),
         voxels=arrays["voxels"],
         offsets=arrays["offsets"],
         room=arrays["room"],
@@ -191,18 +192,13 @@ def _map_from(fields: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     )
 
 
-def _triple(values: Any) -> tuple[float, float, float]:
-    x, y, z = values
-    return float(x), float(y), float(z)
-
-
 def _room(entry: Mapping[str, Any]) -> Room:
     low, high = entry["bounds"]
     return Room(
         id=int(entry["id"]),
         storey=int(entry["storey"]),
-        centroid=_triple(entry["centroid"]),
-        bounds=(_triple(low), _triple(high)),
+        centroid=triple(entry["centroid"]),
+        bounds=(triple(low), triple(high)),
         voxels=int(entry["voxels"]),
         area=float(entry["area"]),
         isolated=bool(entry["isolated"]),
@@ -215,7 +211,7 @@ def _attributes(entry: Mapping[str, Any]) -> dict[str, Any]:
     if "kind" not in entry:
         return {}
     return {
-        "centre": None if entry["centre"] is None else _triple(entry["centre"]),
+        "centre": None if entry["centre"] is None else triple(entry["centre"]),
         "floor_area": float(entry["floor_area"]),
         "volume": optional(entry["volume"]),
         "completeness": float(entry["completeness"]),
@@ -227,7 +223,7 @@ def _attributes(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 def _passage(entry: Mapping[str, Any]) -> Passage:
     a, b = entry["rooms"]
-    passage = Passage((int(a), int(b)), _triple(entry["position"]), float(entry["width"]))
+    passage = Passage((int(a), int(b)), triple(entry["position"]), float(entry["width"]))
     if "kind" not in entry:  # Files from before passages had kinds.
         return passage
     return replace(

@@ -65,11 +65,6 @@ class AgentEntry:
     params: Mapping[str, Any] = field(default_factory=dict)
     map: str = ""
 
-    @property
-    def map_topic(self) -> str:
-        """The topic that this agent's extractor publishes its topometric map on."""
-        return f"{self.namespace.rstrip('/')}/topometric_map"
-
 
 @dataclass(frozen=True)
 class AgentsFile:
