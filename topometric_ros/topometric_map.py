@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,7 +228,7 @@ class TopometricMap:
         return next((d for d in self.descriptors if d.name == name), None)
 
 
-def triple(values: Iterable[Any]) -> tuple[float, float, float]:
+def triple(values: Iterable[float]) -> tuple[float, float, float]:
     """Return three numbers, such as a row of an array, as a tuple of Python's floats."""
     x, y, z = (float(value) for value in values)
     return x, y, z
