@@ -98,8 +98,9 @@ def extract(
         offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
     storey = scene.per_voxel(scene.storey_of_raster)
     storey_of_room = storeys_of_rooms(room, storey)
-    columns = scene.columns if grid.voxel_size == RASTER else None
-    found = MappedRooms(grid, offsets, room, navigable, storey_of_room, storeys, columns)
+    found = MappedRooms(
+        grid, offsets, room, navigable, storey_of_room, storeys, scene.columns_of_grid
+    )
     with watch.stage("passages"):
         passages = passages_of(found, config.passages)
     with watch.stage("assemble"):
@@ -133,8 +134,7 @@ def _navigable(
 ) -> NDArray[np.int32]:
     """Return the navigable volume: what was seen of it, and what closes its gaps."""
     grid, storeys, stick = scene.grid, scene.storeys, config.navigation
-    known = scene.columns if grid.voxel_size == RASTER else None
-    free = unobstructed(grid, stick, known)
+    free = unobstructed(grid, stick, scene.columns_of_grid)
     overhead = is_overhead(scene.columns)
     if overhead.any():
         free &= scene.per_voxel(overhead.astype(np.int32)) == 0
@@ -143,7 +143,7 @@ def _navigable(
     if way is not None:
         way = way @ scene.T_level_input[:3, :3].T + scene.T_level_input[:3, 3]
     if stick.treads and len(storeys) > 1:
-        columns = scene.columns if grid.voxel_size == RASTER else sort_columns(grid.coords)
+        columns = scene.columns_of_grid or sort_columns(grid.coords)
         pairs = itertools.pairwise(storeys)
         found = [
             grid.coords[rows]

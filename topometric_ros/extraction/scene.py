@@ -30,25 +30,38 @@ _FINEST_LAYERS = 0.05
 
 @dataclass(frozen=True)
 class Scene:
-    """A levelled cloud in voxels, and its storeys.
+    """A levelled cloud of P thinned points in voxels, and its storeys; level frame, m.
 
-    `cell_of_point` is the map voxel of each thinned point, `raster_of_point` its 0.1 m voxel; both
-    are the same where the map's voxels have that size. `heights` and `storey_of_raster` belong to
-    the 0.1 m voxels.
+    `grid` holds the map's N voxels, `raster` the R voxels of 0.1 m; both are the same, and so are
+    `cell_of_point` and `raster_of_point`, where the map's voxels have that size.
     """
 
     points: NDArray[np.float64]
+    """(P, 3)."""
     T_level_input: NDArray[np.float64]
+    """(4, 4)."""
     tilt: float
+    """rad, what was taken out."""
     findings: tuple[Finding, ...]
     grid: VoxelGrid
     cell_of_point: NDArray[np.int64]
+    """(P,), the row of each point's voxel in `grid`."""
     raster: VoxelGrid
     raster_of_point: NDArray[np.int64]
+    """(P,), the same in `raster`."""
     columns: Columns
+    """The voxels of `raster` by columns."""
     heights: NDArray[np.float64]
+    """(R,), the mean height of each voxel's points."""
     storeys: tuple[StoreyHeights, ...]
+    """From below."""
     storey_of_raster: NDArray[np.int32]
+    """(R,), the row of each voxel's storey in `storeys`."""
+
+    @property
+    def columns_of_grid(self) -> Columns | None:
+        """The voxels of `grid` by columns where they are at hand, else None."""
+        return self.columns if self.cell_of_point is self.raster_of_point else None
 
     def per_voxel(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
         """Carry labels (R,) of the 0.1 m voxels over to the map's voxels: (N,) int32."""

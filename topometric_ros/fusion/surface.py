@@ -71,12 +71,12 @@ class Surface:
         return cKDTree(self.points)
 
     def facing(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the normals of some points, and which of them point to free space."""
+        """Return some points' normals (n, 3) and which of these point to free space (n,)."""
         self._fit(rows)
         return self._normals[rows], self._sided[rows]
 
     def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Surface:
-        """Return some of the points."""
+        """Return the surface of some points: their rows (n,), or a mask of all."""
         kept = np.arange(len(self))[rows]
         return Surface(self.points[kept], *self.facing(kept), self.spacing)
 

@@ -186,7 +186,7 @@ def refine(
     T_a_b: NDArray[np.float64],
     config: ScoringConfig,
 ) -> NDArray[np.float64]:
-    """Return the best planar pose near a rough one (within about 3° and 0.5 m), same height.
+    """Return the best planar pose (4, 4) near a rough one: within some 3° and 0.5 m, same height.
 
     A candidate of another source than the search must be refined before its evidence is compared
     with others': the runner-up of a pose must not be a rough copy of the same pose.

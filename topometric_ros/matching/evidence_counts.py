@@ -47,7 +47,7 @@ class Counts:
 
 
 def count_cells(a: StoreyFields, b: StoreyFields, pose: Pose, depth: float) -> NDArray[np.float64]:
-    """Counts of one pair of storeys, in the order of `Counts`, and last Σ n nᵀ (xx, xy, yy)."""
+    """Return two storeys' counts in the order of `Counts`, then Σ n nᵀ (xx, xy, yy): (11,)."""
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
     start = (np.array([pose.x, pose.y]) - a.origin) / CELL
     walls = _count_walls(

@@ -35,7 +35,7 @@ class Pose:
 
 
 def pose_of(T_a_b: NDArray[np.float64]) -> Pose:
-    """Return the planar pose of a transform between level frames; its tilt is left out."""
+    """Return the planar pose of a transform (4, 4) between level frames, without its tilt."""
     yaw = float(np.arctan2(T_a_b[1, 0] - T_a_b[0, 1], T_a_b[0, 0] + T_a_b[1, 1]))
     return Pose(yaw, float(T_a_b[0, 3]), float(T_a_b[1, 3]), float(T_a_b[2, 3]))
 

@@ -41,7 +41,7 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class _Pass:
-    """Half-ranges and steps of a grid round a pose, in degrees and metres."""
+    """A grid round a pose: half-range and step of the turns (degrees) and of the shifts (m)."""
 
     turn: tuple[float, float]
     shift: tuple[float, float]
@@ -49,9 +49,11 @@ class _Pass:
     """Milder than the score's own while poses are still rough; None: as configured."""
 
     def turns(self) -> NDArray[np.float64]:
+        """Return the turns to try: (k,) rad, the middle one 0."""
         return _grid(*self.turn) * (np.pi / 180.0)
 
     def shifts(self) -> NDArray[np.float64]:
+        """Return the shifts to try along x and along y: (k,) m, the middle one 0."""
         return _grid(*self.shift)
 
 

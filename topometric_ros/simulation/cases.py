@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,10 +196,4 @@ def _mapped(
     # Single precision, as files and messages hold them.
     points = points.astype(np.float32).astype(np.float64)
     kept = degrade.thinned(points, cell)
-    return points[kept], replace(
-        returns,
-        hits=returns.hits[kept],
-        towards=returns.towards[kept],
-        error=returns.error[kept],
-        scan=returns.scan[kept],
-    )
+    return points[kept], returns.where(kept)

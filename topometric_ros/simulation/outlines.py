@@ -40,7 +40,7 @@ def trace_outlines(cells: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
 
 
 def simplify(ring: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
-    """Return a ring without the corners that lie nearer than `tolerance` to its new edges.
+    """Return a ring (K, 2) without the corners nearer than `tolerance` to its new edges.
 
     Douglas & Peucker 1973, on the two halves of the ring.
     """
@@ -54,7 +54,7 @@ def simplify(ring: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]
 
 
 def inset(ring: NDArray[np.float64], distance: float) -> NDArray[np.float64]:
-    """Return a ring of axis-parallel edges moved to its left by `distance`."""
+    """Return a ring (K, 2) of axis-parallel edges moved to its left by `distance`."""
     edges = np.roll(ring, -1, axis=0) - ring
     directions = edges / np.abs(edges).sum(axis=1, keepdims=True)
     left = np.stack([-directions[:, 1], directions[:, 0]], axis=1)

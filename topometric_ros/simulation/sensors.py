@@ -68,8 +68,8 @@ class Returns:
     scan: NDArray[np.int32]
     """(N,): index of the pose."""
 
-    def where(self, kept: NDArray[np.bool_]) -> Returns:
-        """Return only the returns that a mask (N,) keeps."""
+    def where(self, kept: NDArray[np.bool_] | NDArray[np.int64]) -> Returns:
+        """Return only the returns that a mask (N,) or their indices keep."""
         return Returns(self.hits[kept], self.towards[kept], self.error[kept], self.scan[kept])
 
 

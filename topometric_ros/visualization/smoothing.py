@@ -26,7 +26,7 @@ def fine_origin(origin: tuple[float, float], cell: float, factor: int) -> tuple[
 
 
 def smooth_mask(mask: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
-    """Refine a mask by `factor` and round off its stairs; lines one cell wide survive."""
+    """Refine a mask (nx, ny) by `factor`, its stairs rounded off; lines one cell wide survive."""
     result = np.zeros((mask.shape[0] * factor, mask.shape[1] * factor), bool)
     if mask.any():
         near = _bounds(mask, margin=_BLUR_REACH)
@@ -37,7 +37,7 @@ def smooth_mask(mask: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
 
 
 def smooth_labels(labels: NDArray[np.int32], factor: int) -> NDArray[np.int32]:
-    """Refine a label raster by `factor`; every fine cell takes the label that is densest there."""
+    """Refine labels (nx, ny) by `factor`; every fine cell takes the label that is densest there."""
     shape = (labels.shape[0] * factor, labels.shape[1] * factor)
     best = np.zeros(shape, dtype=np.float32)
     result = np.full(shape, labels.min(initial=0), dtype=np.int32)

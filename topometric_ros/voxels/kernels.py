@@ -212,7 +212,7 @@ def _convolve(table, coords, values, offsets, weights, function):  # type: ignor
 
 
 def dilate(coords: NDArray[np.int32], kernel: Kernel) -> NDArray[np.int32]:
-    """Return every cell that the kernel covers when it is laid on each voxel, in Morton order."""
+    """Return the cells (M, 3) that a kernel covers when laid on each voxel, in Morton order."""
     if len(coords) == 0:
         return np.zeros((0, 3), np.int32)
     spread = coords[:, None, :] + kernel.offsets()[None, :, :]

@@ -75,7 +75,7 @@ class Octree:
         return self.codes.nbytes + self.order.nbytes + sum(part.nbytes for part in self._tree)
 
     def interval(self, first: int, last: int) -> NDArray[np.int64]:
-        """Return the rows of the voxels with first <= Morton code < last, in Morton order."""
+        """Return the rows (K,) of the voxels with first <= Morton code < last, in Morton order."""
         begin, end = np.searchsorted(self.codes, np.array([first, last], np.uint64))
         return self.order[begin:end]
 
