@@ -179,6 +179,22 @@ def test_a_room_of_which_there_are_more_is_like_another_part_of_the_map_and_a_fl
     assert likeness(alone, alone, np.eye(4), CONFIG.scoring) < 0.4
 
 
+def partition(start, end):
+    """Return the points of a thin wall between two points of the plan."""
+    along, z = np.meshgrid(np.linspace(0.0, 1.0, 100), np.arange(0.0, 2.6, 0.05))
+    line = np.asarray(start) + along.ravel()[:, None] * np.subtract(end, start)
+    return np.column_stack([line, z.ravel()])
+
+
+@pytest.mark.parametrize("partitions", [1, 3])
+def test_a_place_whose_walls_conflict_is_no_copy_however_much_of_it_fits(flat, partitions):
+    walls = [((2.5, 0.0), (2.5, 3.0)), ((6.0, 3.8), (10.0, 3.8)), ((12.7, 2.0), (12.7, 6.0))]
+    parted = np.concatenate([flat, *(partition(*ends) for ends in walls[:partitions])])
+    both = np.concatenate([flat, parted + (np.ptp(flat[:, 0]) + 0.3, 0.0, 0.0)])
+    maps = (prepare(map_of(points), SCORING) for points in (both, flat))
+    assert (likeness(*maps, np.eye(4), SCORING) > 0.4) == (partitions == 1)
+
+
 @pytest.mark.parametrize(("length", "disproves"), [(0.9, False), (2.4, True)])
 def test_a_door_s_leaf_in_the_way_disproves_nothing(flat, map_a, length, disproves):
     along = np.arange(0.0, length, 0.03)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from topometric_ros.matching.evidence import evaluate
 from topometric_ros.matching.search_fields import CELL, MapFields, ScoringConfig, StoreyFields
 from topometric_ros.matching.search_poses import (
     Pose,
@@ -28,8 +29,15 @@ from topometric_ros.matching.search_sweep import SweepConfig, sweep
 _REACH = 2
 """Cells round what the other map knows that still count as seen by both."""
 
+_ALIKE = 0.1
+"""Share of the walls that may conflict where a place is alike: copies of a room show 0 to 0.04,
+rooms of other sizes 0.15 to 0.3, though their S may be as good."""
+
+_ALIKE_FLOOR = 0.2
+"""Share of the floor in common that must lie on floor there: walls alone are no place."""
+
 _SWEEP = SweepConfig(keep=24)
-_REFINE = RefineConfig(coarse_samples=3000, second_samples=6000, keep_coarse=6, keep=3)
+_REFINE = RefineConfig(coarse_samples=3000, second_samples=6000, keep_coarse=8, keep=5)
 
 
 def likeness(
@@ -67,8 +75,18 @@ def _elsewhere(host: MapFields, part: MapFields, there: Pose, config: ScoringCon
         return 1.0
     centre = np.concatenate(cells).mean(axis=0)
     found = refine_poses(host, part, sweep(host, part, _SWEEP), config, _REFINE)
-    others = [p.score for p in found if not same_pose(p, there, centre, DISTINCT)]
-    return float(max(0.0, *others) / score) if others else 0.0
+    others = [p for p in found if not same_pose(p, there, centre, DISTINCT)]
+    floor = evaluate(host, part, there.matrix(), config).free_floor
+    alike = [p.score for p in others if _is_alike(host, part, p, floor, config)]
+    return float(max(0.0, *alike) / score) if alike else 0.0
+
+
+def _is_alike(
+    host: MapFields, part: MapFields, pose: Pose, floor: float, config: ScoringConfig
+) -> bool:
+    """Whether a part fits a pose as its copy would, of which some of the floor (m²) was seen."""
+    there = evaluate(host, part, pose.matrix(), config)
+    return there.wall_conflict <= _ALIKE and there.free_floor >= _ALIKE_FLOOR * floor
 
 
 def _common_part(a: MapFields, b: MapFields, pose: Pose) -> MapFields:
