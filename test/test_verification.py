@@ -3,50 +3,22 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from test.helpers import yaw_transform
+from test.helpers_evidence import GOOD, at, good
 from test.helpers_search import FLAT, OTHER, TWIN, building, map_of
 from topometric_ros.alignment import AlignmentStatus
-from topometric_ros.fusion.furniture import Pieces
-from topometric_ros.fusion.gates import VerificationConfig, may_be_a_twin, missed_gate, objection
+from topometric_ros.fusion.gates import VerificationConfig, missed_gate, objection
 from topometric_ros.fusion.verification import confidence, decide, doubt_repeated
 from topometric_ros.matching.candidate import Candidate
-from topometric_ros.matching.evidence import Evidence, evaluate
+from topometric_ros.matching.evidence import evaluate
 from topometric_ros.matching.search import SearchConfig, search_poses
 
 SEARCH = SearchConfig()
 CONFIG = VerificationConfig()
-GOOD = Evidence(
-    score=900.0,
-    value=900.0,
-    wall_agree=800,
-    wall_conflict_cells=0,
-    wall_conflict=0.0,
-    free_floor=40.0,
-    free_share=0.4,
-    agreed_wall=60.0,
-    smallest_eigenvalue=20.0,
-    fixed=1.0,
-    furniture_judged=0,
-    furniture_conflict_cells=0,
-    furniture_conflict=0.0,
-    wall_in_view=1200,
-    wall_absent=0.012,
-    storeys=1,
-    centre=(0.0, 0.0, 0.0),
-)
-
-
-def good(**changes):
-    return Evidence(**{**GOOD.__dict__, **changes})
-
-
-def at(x, evidence=GOOD, yaw=0.0):
-    return Candidate(yaw_transform(yaw, (x, 0.0, 0.0)), "search", evidence.score), evidence
 
 
 def judged(map_a, map_b):
@@ -186,77 +158,6 @@ def test_moved_furniture_is_forgiven_where_the_walls_of_several_rooms_vouch():
     assert decide([at(0.0, one_room)], CONFIG).status is AlignmentStatus.REJECTED
     rival = at(8.0, good(value=300.0))
     assert decide([at(0.0, good(**moved)), rival], CONFIG).status is AlignmentStatus.REJECTED
-
-
-def test_a_flat_that_one_map_holds_whole_may_be_its_twin_where_furniture_differs():
-    twin = {"free_share": 0.95, "furniture_judged": 400, "furniture_conflict_cells": 14}
-    decision = decide([at(0.0, good(**twin, furniture_conflict=0.035))], CONFIG)
-    assert decision.status is AlignmentStatus.AMBIGUOUS
-    assert "an identical flat would look the same" in decision.reason
-    assert decision.confidence < 0.5
-    same = good(free_share=0.95, furniture_judged=400)
-    assert decide([at(0.0, same)], CONFIG).status is AlignmentStatus.ACCEPTED
-    floor = good(**twin, furniture_conflict=0.035, free_floor=150.0)
-    assert decide([at(0.0, floor)], CONFIG).status is AlignmentStatus.ACCEPTED
-
-
-@pytest.mark.parametrize(
-    ("share", "floor", "cells", "judged"),
-    [(0.5, 40.0, 35, 177), (0.9, 127.0, 18, 185), (0.69, 36.5, 9, 198)],
-    ids=["a flat furnished otherwise", "an identical storey", "most of a flat furnished alike"],
-)
-def test_where_furniture_differs_the_rest_must_stand_to_the_centimetre(share, floor, cells, judged):
-    e = good(
-        free_share=share, free_floor=floor, furniture_judged=judged,
-        furniture_conflict_cells=cells, furniture_conflict=cells / judged,
-    )  # fmt: skip
-    assert may_be_a_twin(e, CONFIG, lambda: Pieces(2, 1))
-    assert not may_be_a_twin(e, CONFIG, lambda: Pieces(12, 9))
-    assert not may_be_a_twin(replace(e, free_share=0.3), CONFIG, lambda: Pieces(2, 1))
-
-
-def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
-    moved = good(
-        free_share=0.6, free_floor=150.0, furniture_judged=400,
-        furniture_conflict_cells=50, furniture_conflict=0.125,
-    )  # fmt: skip
-    assert may_be_a_twin(moved, CONFIG, lambda: Pieces(2, 1))
-    assert not may_be_a_twin(moved, replace(CONFIG, changed_furniture=True), lambda: Pieces(2, 1))
-
-
-def test_furniture_that_was_put_there_anew_is_a_twin_s_even_where_no_cell_conflicts():
-    e = good(free_share=0.3, free_floor=90.0, furniture_judged=300)
-    assert may_be_a_twin(e, CONFIG, lambda: Pieces(9, 3))
-    for as_before in (Pieces(22, 17), Pieces(3, 0), Pieces(0, 0)):
-        assert not may_be_a_twin(e, CONFIG, lambda pieces=as_before: pieces)
-
-
-def test_half_of_a_small_map_is_little_where_some_furniture_stands_elsewhere():
-    half = {"free_share": 0.56, "free_floor": 25.0, "furniture_judged": 108}
-    assert decide([at(0.0, good(**half))], CONFIG).status is AlignmentStatus.ACCEPTED
-    moved = good(**half, furniture_conflict_cells=7, furniture_conflict=0.065)
-    assert decide([at(0.0, moved)], CONFIG).status is AlignmentStatus.AMBIGUOUS
-
-
-def test_a_small_map_within_another_may_be_part_of_a_twin():
-    part = good(free_share=0.7, free_floor=30.0, furniture_judged=120)
-    decision = decide([at(0.0, part)], CONFIG)
-    assert decision.status is AlignmentStatus.AMBIGUOUS
-    assert "only 30 m²" in decision.reason
-    assert "let the smaller map grow" in decision.reason
-
-
-def test_one_room_of_the_few_that_a_map_has_does_not_tell_twin_flats_apart():
-    room = {"free_floor": 12.0, "furniture_judged": 76}
-    decision = decide([at(0.0, good(**room, free_share=0.39))], CONFIG)
-    assert decision.status is AlignmentStatus.AMBIGUOUS
-    assert "only 12 m², at least 15 m² are needed" in decision.reason
-    # Few cells of furniture are no proof against a pose, but here they count.
-    little = {**room, "furniture_judged": 18, "furniture_conflict_cells": 5}
-    moved = decide([at(0.0, good(**little, furniture_conflict=0.28, free_share=0.2))], CONFIG)
-    assert moved.status is AlignmentStatus.AMBIGUOUS
-    # Of a map with much more in it the rest speaks for the pose.
-    assert decide([at(0.0, good(**room, free_share=0.2))], CONFIG).status is not decision.status
 
 
 def test_a_small_part_that_repeats_in_the_maps_is_ambiguous():

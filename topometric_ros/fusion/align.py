@@ -18,7 +18,7 @@ from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose, fine_poses
 from topometric_ros.fusion.furniture import Pieces, compare_furniture
-from topometric_ros.fusion.gates import may_be_a_twin, missed_gate, objection, why_a_twin
+from topometric_ros.fusion.gates import missed_gate, objection
 from topometric_ros.fusion.judge import FinePose, judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
@@ -30,6 +30,7 @@ from topometric_ros.fusion.registration import (
 )
 from topometric_ros.fusion.rivals import Judged
 from topometric_ros.fusion.scale import stretch, unlike_scale
+from topometric_ros.fusion.twins import twin_doubt
 from topometric_ros.fusion.verification import TWIN_TRUST, Decision
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence, evaluate
@@ -149,11 +150,11 @@ def _registered(
     def furniture() -> Pieces:
         return compare_furniture((a.map, a.surface), (b.map, b.surface), T)
 
-    if ask_twins and may_be_a_twin(evidence, config.verification, furniture):
-        told = why_a_twin(evidence, config.verification)
+    doubt = twin_doubt(evidence, config.verification, furniture) if ask_twins else None
+    if doubt is not None:
         pose = Alternative(_to_input(a, b, T), evidence.value)
         return replace(
-            _refused(a, b, AlignmentStatus.AMBIGUOUS, told),
+            _refused(a, b, AlignmentStatus.AMBIGUOUS, doubt),
             alternatives=(pose, *alternatives[1:]),
             confidence=min(decision.confidence, TWIN_TRUST),
             score=evidence.value,

@@ -6,13 +6,11 @@ Shares are judged by their lower bound: that 7 of 382 cells conflict does not pr
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from topometric_ros.configuration import parameter
-from topometric_ros.fusion.furniture import Pieces
 from topometric_ros.matching.evidence import Evidence
 
 _ACROSS_ENOUGH = 2.5
@@ -21,20 +19,7 @@ _ACROSS_ENOUGH = 2.5
 _ACROSS_AT_ALL = 1.0
 """Wall that runs across (m) without which no slide is asked: two corridors side by side."""
 
-_PART, _PART_DIFFERS = 0.75, 0.6
-"""Of `twin_share`: the share of the smaller map's floor from which it is a part of the other, and
-where some of the furniture stands elsewhere."""
-
-_ROOM, _ROOM_PART = 15.0, 0.3
-"""Floor in common (m²) of a room, and the share of the smaller map's floor from which no more than
-that says where it lies: twin flats have rooms that are alike to the furniture. Less of the map in
-common is as little where the furniture conflicts, if only by a few cells."""
-
-_HALF, _OTHERWISE = 0.5, 0.02
-"""Of `twin_share`, and furniture in conflict beyond doubt, from which as much may be another flat
-or floor, furnished otherwise: rooms of one kind are furnished much alike."""
-
-_WALL_CLUMP, _FURNITURE_CLUMP = 2.0, 3.0
+_WALL_CLUMP, FURNITURE_CLUMP = 2.0, 3.0
 """Neighbouring cells that err together and count as one."""
 
 
@@ -199,7 +184,7 @@ def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
             f"at most {config.wall_conflict:.1%} allowed"
         )
     counted = e.furniture_judged >= config.furniture_judged
-    if counted and _furniture_elsewhere(e) > config.furniture_conflict:
+    if counted and furniture_elsewhere(e) > config.furniture_conflict:
         return (
             "the furniture of one map stands where the other saw bare floor: "
             f"{e.furniture_conflict:.0%} of {e.furniture_judged} furniture cells conflict, "
@@ -217,9 +202,9 @@ def _at_least(share: float, count: float) -> float:
     return float(max(0.0, (share + z**2 / (2.0 * count) - z * spread) / (1.0 + z**2 / count)))
 
 
-def _furniture_elsewhere(e: Evidence) -> float:
+def furniture_elsewhere(e: Evidence) -> float:
     """Return the share of the furniture that stands elsewhere beyond doubt."""
-    return _at_least(e.furniture_conflict, e.furniture_judged / _FURNITURE_CLUMP)
+    return _at_least(e.furniture_conflict, e.furniture_judged / FURNITURE_CLUMP)
 
 
 def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationConfig) -> bool:
@@ -238,59 +223,4 @@ def _holds_despite(e: Evidence, gap: float, ratio: float, config: VerificationCo
         and ratio <= rule.ratio
         and gap >= rule.gap
         for rule in rules
-    )
-
-
-def may_be_a_twin(
-    e: Evidence, config: VerificationConfig, furniture: Callable[[], Pieces] | None = None
-) -> bool:
-    """Whether two identical flats, furnished alike, would look the same.
-
-    Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees, or
-    little more than a room was seen of it. Where less is shared or more conflicts, `furniture` is
-    asked how much of it stands in the same place to the centimetre; without it none of that counts.
-    """
-    small, differs = e.free_floor < config.twin_floor, _differs(e, config)
-    if _is_part(e, config) or (small and differs and e.free_share >= config.twin_share):
-        return True
-    if furniture is None or (config.changed_furniture and not small):
-        return False
-    otherwise = _furniture_elsewhere(e) >= _OTHERWISE and e.free_share >= _HALF * config.twin_share
-    most = small and differs and e.free_share >= _PART * config.twin_share
-    pieces = furniture()
-    return pieces.displaced or ((otherwise or most) and not pieces.same)
-
-
-def _differs(e: Evidence, config: VerificationConfig) -> bool:
-    """Whether any furniture stands elsewhere: more than a cell or two that err together."""
-    many = e.furniture_conflict_cells >= _FURNITURE_CLUMP
-    return many and e.furniture_conflict >= config.twin_furniture
-
-
-def _is_part(e: Evidence, config: VerificationConfig) -> bool:
-    """Whether the smaller map is a small part of the other, or shares one room of a few with it."""
-    return e.free_floor < _least_floor(e, config)
-
-
-def _least_floor(e: Evidence, config: VerificationConfig) -> float:
-    """Return the floor (m²) that a part must have in common to be no part of an identical flat."""
-    least = _PART_DIFFERS if _differs(e, config) else _PART
-    if e.free_share >= least * config.twin_share:
-        return config.twin_part
-    room = e.free_share >= _ROOM_PART or e.furniture_conflict > config.furniture_conflict
-    return min(_ROOM, config.twin_part) if room else 0.0
-
-
-def why_a_twin(e: Evidence, config: VerificationConfig) -> str:
-    """Return why a pose of which :func:`may_be_a_twin` holds is not accepted, in a sentence."""
-    if _is_part(e, config):
-        return (
-            f"one map holds {e.free_share:.0%} of the floor of the other, only {e.free_floor:.0f} "
-            f"m², at least {_least_floor(e, config):g} m² are needed: a part of an identical flat "
-            "would look the same, let the smaller map grow"
-        )
-    return (
-        f"one map holds {e.free_share:.0%} of the floor of the other, so little else tells where "
-        f"that lies, and {e.furniture_conflict:.1%} of the furniture stands elsewhere: "
-        "an identical flat would look the same"
     )

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from topometric_ros.alignment import AlignmentStatus, Alternative
-from topometric_ros.fusion.gates import VerificationConfig, may_be_a_twin, objection, why_a_twin
+from topometric_ros.fusion.gates import VerificationConfig, objection
 from topometric_ros.fusion.rivals import Judged, difference, disproved_margin, distinct
+from topometric_ros.fusion.twins import twin_doubt
 from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import Evidence
 
@@ -101,10 +102,9 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
         rival = judged[rivals[1]][0] if len(rivals) > 1 else None
         reason = _why_ambiguous(judged[best], rival, second, gap, ratio, config)
         return decision(AlignmentStatus.AMBIGUOUS, reason, trust)
-    if may_be_a_twin(first, config):
-        return decision(
-            AlignmentStatus.AMBIGUOUS, why_a_twin(first, config), min(trust, TWIN_TRUST)
-        )
+    doubt = twin_doubt(first, config)
+    if doubt is not None:
+        return decision(AlignmentStatus.AMBIGUOUS, doubt, min(trust, TWIN_TRUST))
     return decision(AlignmentStatus.ACCEPTED, _why_accepted(first, ratio, near), trust)
 
 
