@@ -21,7 +21,7 @@ from topometric_ros.fusion.furniture import Pieces, compare_furniture
 from topometric_ros.fusion.gates import missed_gate, objection
 from topometric_ros.fusion.judge import FinePose, judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
-from topometric_ros.fusion.poses import Transform, apart, input_frames, inverse
+from topometric_ros.fusion.poses import Transform, apart, carried, input_frames, inverse
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.fusion.priors import Prior, parse_priors, prior_between
 from topometric_ros.fusion.registration import (
@@ -272,12 +272,8 @@ def _covariance_of_input(
     With T_input = L_a⁻¹ T L_b a small turn ω of T also moves L_b's origin, by ω × R t_b.
     """
     turn = inverse(a.map.T_level_input)[:3, :3]
-    x, y, z = result.T_target_source[:3, :3] @ b.map.T_level_input[:3, 3]
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    carry = np.zeros((6, 6))
-    carry[:3, :3] = carry[3:, 3:] = turn
-    carry[:3, 3:] = -turn @ cross
-    return carry @ result.covariance @ carry.T
+    arm = result.T_target_source[:3, :3] @ b.map.T_level_input[:3, 3]
+    return carried(result.covariance, turn, arm)
 
 
 def _scoring(config: MergeConfig) -> ScoringConfig:

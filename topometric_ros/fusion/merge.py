@@ -25,7 +25,7 @@ from topometric_ros.fusion.changes import told
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fuse import fuse
 from topometric_ros.fusion.groups import Groups, group_agents
-from topometric_ros.fusion.poses import Transform, apply, inverse
+from topometric_ros.fusion.poses import Transform, apply, carried, inverse
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.fusion.priors import Prior, contradicted, parse_priors, pointless
 from topometric_ros.stopwatch import Stopwatch
@@ -169,12 +169,8 @@ def _reversed_covariance(
     """Return the covariance of the inverse transform: t' = -Rᵀ t moves by -Rᵀ (δt + t × ω)."""
     if alignment.T_a_b is None or alignment.covariance is None:
         return None
-    R, (x, y, z) = alignment.T_a_b[:3, :3], alignment.T_a_b[:3, 3]
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    carry = np.zeros((6, 6))
-    carry[:3, :3] = carry[3:, 3:] = -R.T
-    carry[:3, 3:] = -R.T @ cross
-    return carry @ alignment.covariance @ carry.T
+    T = alignment.T_a_b
+    return carried(alignment.covariance, -T[:3, :3].T, -T[:3, 3])
 
 
 def _check(maps: Sequence[TopometricMap]) -> None:

@@ -69,3 +69,17 @@ def input_frames(T_level: Transform, level_a: Transform, level_b: Transform) -> 
 def level_frames(T_input: Transform, level_a: Transform, level_b: Transform) -> Transform:
     """Undo :func:`input_frames`."""
     return level_a @ T_input @ inverse(level_b)
+
+
+def carried(
+    covariance: NDArray[np.float64], turn: NDArray[np.float64], arm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the covariance (6, 6) of a transform's translation and turns in other coordinates.
+
+    A small translation δ and turn ω become `turn` (3, 3) times δ + ω × `arm` (3,), m, and ω.
+    """
+    x, y, z = arm
+    carry = np.zeros((6, 6))
+    carry[:3, :3] = carry[3:, 3:] = turn
+    carry[:3, 3:] = -turn @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return carry @ covariance @ carry.T

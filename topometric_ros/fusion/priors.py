@@ -24,7 +24,7 @@ import yaml
 from numpy.typing import NDArray
 
 from topometric_ros.errors import ConfigurationError
-from topometric_ros.fusion.poses import Transform, angle, inverse, yaw_of, yaw_pose
+from topometric_ros.fusion.poses import Transform, angle, carried, inverse, yaw_of, yaw_pose
 
 _ALLOWED = 18.47
 """Squared distance in standard deviations that a right pose exceeds once in 1,000 (4 unknowns)."""
@@ -116,7 +116,7 @@ def reversed_prior(prior: Prior) -> Prior:
         prior.source,
         prior.target,
         inverse(prior.T),
-        _carried(prior.covariance, -prior.T[:3, :3].T, -prior.T[:3, 3]),
+        carried(prior.covariance, -prior.T[:3, :3].T, -prior.T[:3, 3]),
         prior.alone,
         prior.name,
     )
@@ -142,20 +142,9 @@ def _through(p: Prior, q: Prior) -> Prior:
     """Return T_a_b from T_outer_a and T_outer_b."""
     back = inverse(p.T)
     R, arm = back[:3, :3], q.T[:3, 3] - p.T[:3, 3]
-    covariance = _carried(q.covariance, R, np.zeros(3)) + _carried(p.covariance, -R, arm)
+    covariance = carried(q.covariance, R, np.zeros(3)) + carried(p.covariance, -R, arm)
     name = p.name if p.name == q.name else f"{p.name} and {q.name}"
     return Prior(p.source, q.source, back @ q.T, covariance, p.alone and q.alone, name)
-
-
-def _carried(
-    covariance: NDArray[np.float64], R: NDArray[np.float64], arm: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return a covariance turned by `R`, its turns also moving what lies `arm` away."""
-    x, y, z = arm
-    carry = np.zeros((6, 6))
-    carry[:3, :3] = carry[3:, 3:] = R
-    carry[:3, 3:] = -R @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return carry @ covariance @ carry.T
 
 
 def _parsed(text: str) -> Prior:
