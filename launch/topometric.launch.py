@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -15,6 +16,7 @@ from launch import LaunchContext, LaunchDescription
 from topometric_ros.runtime.agents_file import read_agents_file
 from topometric_ros.runtime.fleet_processes import (
     PROFILE,
+    RESPAWN_S,
     FleetOptions,
     dds_environment,
     fleet_processes,
@@ -52,6 +54,11 @@ def generate_launch_description() -> LaunchDescription:
                 description="start the managed nodes, which wait for a lifecycle manager",
             ),
             DeclareLaunchArgument(
+                "respawn",
+                default_value="false",
+                description="start a node again that has ended",
+            ),
+            DeclareLaunchArgument(
                 "fastdds_profile",
                 default_value=str(config / PROFILE),
                 description="Fast DDS profile, unless the environment names one; empty: none",
@@ -72,18 +79,21 @@ def _processes(context: LaunchContext) -> list[Action]:
         log_level=value["log_level"].lower(),
         managed=value["managed"].lower() == "true",
     )
+    respawn = LaunchConfiguration("respawn").perform(context).lower() == "true"
     fleet = read_agents_file(value["agents_file"])
     variables = dds_environment(value["fastdds_profile"], os.environ)
     return [
         *(SetEnvironmentVariable(name, text) for name, text in variables.items()),
-        *(_node(p.executable, list(p.arguments)) for p in fleet_processes(fleet, options)),
+        *(_node(p.executable, p.arguments, respawn) for p in fleet_processes(fleet, options)),
     ]
 
 
-def _node(executable: str, arguments: list[str]) -> Node:
+def _node(executable: str, arguments: Sequence[str], respawn: bool) -> Node:
     return Node(
         package="topometric_ros",
         executable=executable,
-        arguments=arguments,
+        arguments=list(arguments),
+        respawn=respawn,
+        respawn_delay=RESPAWN_S,
         output="screen",
     )

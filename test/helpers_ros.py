@@ -82,7 +82,7 @@ class NodeProcess:
         """Send a signal to the process."""
         self._process.send_signal(number)
 
-    def stop(self, number: int = signal.SIGTERM, limit_s: float = 20.0) -> int:
+    def stop(self, number: int = signal.SIGTERM, limit_s: float = 60.0) -> int:
         """Send a signal and return the exit status; a process that stays is killed."""
         if self.alive:
             self._process.send_signal(number)
@@ -149,7 +149,7 @@ class Graph:
         self.node.create_subscription(message_type, topic, received.messages.append, profile)
         return received
 
-    def call(self, service_type: Any, name: str, request: Any, limit_s: float = 60.0) -> Any:
+    def call(self, service_type: Any, name: str, request: Any, limit_s: float = 180.0) -> Any:
         """Call a service and return its response."""
         client = self.node.create_client(service_type, name)
         assert client.wait_for_service(limit_s), f"no service {name} within {limit_s} s"
@@ -160,9 +160,9 @@ class Graph:
 
 
 @contextlib.contextmanager
-def graph() -> Iterator[Graph]:
-    """Yield the test's own node on the private graph."""
-    own = Graph()
+def graph(name: str = "test") -> Iterator[Graph]:
+    """Yield a node of the test's own on the private graph."""
+    own = Graph(name)
     try:
         yield own
     finally:

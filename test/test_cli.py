@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ import pytest
 
 from test.helpers import box_room, moved, yaw_transform
 from test.helpers_bags import flat, write_map_bag, write_scan_bag
+from topometric_ros.cli import run
 from topometric_ros.cli.main import main
 from topometric_ros.io.map_files import load_map
 from topometric_ros.io.ply import read_ply_points
@@ -256,6 +258,40 @@ def test_run_ends_its_processes_with_a_signal_and_says_which_one_ended(tmp_path:
     ended = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=30, check=False)
     assert ended.returncode == 1
     assert re.search(r"ended with status 3; the others were ended", ended.stderr)
+
+
+@pytest.mark.parametrize(("status", "left"), [(9, True), (2, False)])
+def test_run_starts_again_what_ended_but_not_what_refused_its_parameters(
+    status: int,
+    left: bool,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setattr(run, "RESPAWN_S", 0.1)
+    mark = tmp_path / "mark"
+    child = (
+        "import pathlib, signal, sys, time\n"
+        f"mark = pathlib.Path({str(mark)!r})\n"
+        "signal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
+        f"mark.exists() or (mark.touch(), sys.exit({status}))\n"
+        "mark.with_suffix('.again').touch()\n"
+        "time.sleep(60)\n"
+    )
+    fleet = run._Fleet({"node": [sys.executable, "-c", child]}, os.environ, respawn=True)
+
+    def stop() -> None:
+        while not mark.with_suffix(".again").exists():
+            time.sleep(0.05)
+        fleet._stop(signal.SIGTERM, None)
+
+    if left:
+        threading.Thread(target=stop, daemon=True).start()
+    assert fleet.run() == (0 if left else 1)
+    told = capfd.readouterr().err
+    assert told.count("topometric: node: process") == (2 if left else 1)
+    assert (f"ended with status {status}; it is started again" in told) == left
 
 
 def test_a_wrong_agents_file_ends_with_status_2(

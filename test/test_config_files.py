@@ -115,7 +115,7 @@ def test_the_launch_file_describes_every_argument() -> None:
     tree = ast.parse((ROOT / "launch" / "topometric.launch.py").read_text())
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     arguments = [c for c in calls if getattr(c.func, "id", "") == "DeclareLaunchArgument"]
-    assert len(arguments) == 6
+    assert len(arguments) == 7
     assert all("description" in {k.arg for k in call.keywords} for call in arguments)
 
 

@@ -19,7 +19,7 @@ pytestmark = [
 ]
 
 MERGER = "topometric_ros.nodes.merger"
-WORK_S = 60.0
+WORK_S = 180.0
 
 
 def test_a_map_of_another_day_stays_and_who_is_off_after_a_restart_is_told_with_its_map(

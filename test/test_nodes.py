@@ -22,8 +22,8 @@ pytestmark = [
 DEMO = helpers_ros.ROOT / "bags" / "demo"
 EXTRACTOR = "topometric_ros.nodes.extractor"
 MERGER = "topometric_ros.nodes.merger"
-START_S = 60.0
-WORK_S = 90.0
+START_S = 180.0
+WORK_S = 180.0
 
 
 def flat() -> np.ndarray:

@@ -1,7 +1,7 @@
 """`topometric run`: an extractor for every agent of a file and a merger, as processes.
 
 What the launch file does, with the same options, where `launch` is not installed. SIGINT and
-SIGTERM end all of them; so does the end of any one. Nothing is restarted.
+SIGTERM end all of them; so does the end of any one, but with `--respawn` it is started again.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from topometric_ros.runtime.fleet_processes import (
     LOG_LEVELS,
     PROFILE,
     PROFILE_VARIABLE,
+    RESPAWN_S,
     FleetOptions,
     dds_environment,
     fleet_processes,
@@ -33,6 +34,8 @@ from topometric_ros.runtime.fleet_processes import (
 
 _POLL_S = 0.2
 _GRACE_S = 10.0
+_REFUSED = 2
+"""Exit status of a node that refuses its parameters: it would do so again."""
 
 
 class RunError(TopometricError):
@@ -46,7 +49,8 @@ def add_parser(commands: Any) -> None:
         help="start the extractors and the merger of an agents file",
         description="Start one extractor an agent and a merger, and end them together; for a "
         "simulated fleet a player too. The exit "
-        "status is 0 after SIGINT or SIGTERM, 1 where a process ended by itself.",
+        "status is 0 after SIGINT or SIGTERM, 1 where a process ended by itself and was not to be "
+        "started again.",
     )
     command.add_argument(
         "agents", type=Path, metavar="AGENTS.yaml", nargs="?", help="the agents file"
@@ -86,6 +90,12 @@ def _add_node_arguments(command: argparse.ArgumentParser) -> None:
         help="start the managed nodes, which wait for a lifecycle manager",
     )
     command.add_argument(
+        "--respawn",
+        action="store_true",
+        help=f"start a node again {RESPAWN_S:g} s after it has ended, unless it refused its "
+        "parameters (status 2)",
+    )
+    command.add_argument(
         "--fastdds-profile",
         metavar="F",
         help=f"Fast DDS profile, unless {PROFILE_VARIABLE} names one; '' for none "
@@ -109,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
         process.name: [*_executable(process.executable), *process.arguments]
         for process in fleet_processes(_fleet(options), told)
     }
-    return _Fleet(commands, environment).run()
+    return _Fleet(commands, environment, options.respawn).run()
 
 
 def _fleet(options: argparse.Namespace) -> AgentsFile:
@@ -135,13 +145,18 @@ def _executable(name: str) -> list[str]:
 
 
 class _Fleet:
-    """Processes that live and end together."""
+    """Processes that live and end together; with `respawn` those that end are started again."""
 
     def __init__(
-        self, commands: Mapping[str, Sequence[str]], environment: Mapping[str, str]
+        self,
+        commands: Mapping[str, Sequence[str]],
+        environment: Mapping[str, str],
+        respawn: bool = False,
     ) -> None:
         self._commands = commands
         self._environment = environment
+        self._respawn = respawn
+        self._due: dict[str, float] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._stopping = False
 
@@ -162,22 +177,34 @@ class _Fleet:
         self._stopping = True
 
     def _start(self) -> None:
-        for name, command in self._commands.items():
-            try:
-                # A session of its own: Ctrl-C reaches the processes once, from here, in order.
-                self._processes[name] = subprocess.Popen(
-                    command, env=self._environment, start_new_session=True
-                )
-            except OSError as error:
-                raise RunError(f"{name}: cannot be started: {error}") from error
-            print(f"topometric: {name}: process {self._processes[name].pid}", file=sys.stderr)
+        for name in self._commands:
+            self._start_one(name)
+
+    def _start_one(self, name: str) -> None:
+        try:
+            # A session of its own: Ctrl-C reaches the processes once, from here, in order.
+            self._processes[name] = subprocess.Popen(
+                self._commands[name], env=self._environment, start_new_session=True
+            )
+        except OSError as error:
+            raise RunError(f"{name}: cannot be started: {error}") from error
+        print(f"topometric: {name}: process {self._processes[name].pid}", file=sys.stderr)
 
     def _wait(self) -> str:
-        """Wait for a signal or the first end of a process; return what happened in words."""
+        """Wait for a signal or an end that nothing follows; return what happened in words."""
         while not self._stopping:
             for name, process in self._processes.items():
-                if process.poll() is not None:
-                    return f"{name} ended with {_status(process.returncode)}"
+                if process.poll() is None:
+                    continue
+                told = f"{name} ended with {_status(process.returncode)}"
+                if not self._respawn or process.returncode == _REFUSED:
+                    return told
+                if name not in self._due:
+                    print(f"topometric: {told}; it is started again", file=sys.stderr)
+                    self._due[name] = time.monotonic() + RESPAWN_S
+            for name in [name for name, due in self._due.items() if due <= time.monotonic()]:
+                del self._due[name]
+                self._start_one(name)
             time.sleep(_POLL_S)
         return "stopped"
 

@@ -37,6 +37,8 @@ class InputReport:
     refused: int = 0
     refusal: str = ""
     publishers: int = 0
+    rivals: int = 0
+    """How many publishers its topic has, where it is certain that there are several."""
     newest: TopometricMap | None = None
     arrived: int = 0
     """When `newest` arrived, ns."""
@@ -135,10 +137,8 @@ def _agent(
         return Status(name, Level.WARN, "not merged yet", values)
     known = placement.status is not AgentStatus.UNALIGNED
     text = f"{placement.status}: {placement.reason}" if placement.reason else placement.status.value
-    if entry.publishers > 1:
-        return Status(
-            name, Level.WARN, f"{entry.publishers} publishers on its topic; {text}", values
-        )
+    if entry.rivals > 1:
+        return Status(name, Level.WARN, f"{entry.rivals} publishers on its topic; {text}", values)
     return Status(name, Level.OK if known else Level.WARN, text, values)
 
 

@@ -25,6 +25,8 @@ TOPIC = "topometric_map"
 _TYPE = "topometric_msgs/msg/TopometricMap"
 _SILENT_S = 10.0
 """How long after the start it is no wonder that nobody publishes a map."""
+_LEASE_S = 30.0
+"""For how long one that was killed may still count as a publisher: 20 s with Fast DDS."""
 _MOST = 64
 """Topics that are listened to at most: whoever may publish must not be able to fill the memory."""
 
@@ -39,6 +41,7 @@ class Roster:
         self.reports: dict[str, InputReport] = {}
         self._node = node
         self._last_seen: dict[str, float] = {}
+        self._crowded: dict[str, float] = {}
         self._subscriptions: dict[str, Subscription] = {}
         self._told_full = False
         self._began: float | None = None
@@ -88,18 +91,28 @@ class Roster:
             self._find()
         for agent in self.inboxes:
             report = self.reports[agent]
-            before, report.publishers = report.publishers, self._publishers(report.topic)
+            report.publishers = self._publishers(report.topic)
             if report.publishers:
                 self._last_seen[agent] = time.monotonic()
-            if report.publishers > max(1, before):
-                self._node.get_logger().warning(
-                    f"{report.topic} has {report.publishers} publishers: do several extractors "
-                    f"take themselves for {agent}? Maps of the session that began last count"
-                )
+            self._look_for_rivals(agent, report)
         if self._began is not None and time.monotonic() - self._began > _SILENT_S:
             self._began = None
             if silence := self.silence():
                 self._node.get_logger().warning(silence)
+
+    def _look_for_rivals(self, agent: str, report: InputReport) -> None:
+        """Say where several extractors take themselves for one agent."""
+        now = time.monotonic()
+        if report.publishers < 2:
+            self._crowded.pop(agent, None)
+            report.rivals = 0
+        elif now - self._crowded.setdefault(agent, now) > _LEASE_S:
+            if report.publishers > report.rivals:
+                self._node.get_logger().warning(
+                    f"{report.topic} has {report.publishers} publishers: do several extractors "
+                    f"take themselves for {agent}? Maps of the session that began last count"
+                )
+            report.rivals = report.publishers
 
     def drop(self, longer_than: float, kept: Container[str]) -> None:
         """Take who was found, not listed, and has been gone for so long (s) off the list.

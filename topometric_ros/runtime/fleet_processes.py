@@ -21,6 +21,8 @@ from topometric_ros.runtime.agents_file import (
 )
 
 LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
+RESPAWN_S = 2.0
+"""After which time a node that ended is started again, where that is wanted."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILE = "fastdds_large_clouds.xml"
 
