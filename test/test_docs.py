@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
+
+from topometric_ros.cli.main import parser
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -13,6 +16,8 @@ FOLDERS = "topometric_ros|test|scripts|config|launch|docs|bags|wheels|training|s
 NAMED = re.compile(rf"`((?:{FOLDERS})/[\w./-]+)`")
 LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
 HEADING = re.compile(r"(?m)^#+ (.+)$")
+BLOCK = re.compile(r"(?ms)^```[^\n]*\n(.*?)^```")
+COMMAND = re.compile(r"(?m)(?:^|&& )(topometric \w+ [^\n#&]*|(?:python )?\S*\.py [^\n#&]*)")
 TO_HEADING = re.compile(r"\]\((?!https?:)([^)#]*)#([^)]+)\)")
 
 
@@ -43,6 +48,19 @@ def test_every_link_to_a_heading_finds_it(document):
         if heading not in anchors(document.parent / name if name else document)
     ]
     assert not missing
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_command_in_a_block_of_code_exists_with_its_options(document):
+    blocks = BLOCK.findall(document.read_text(encoding="utf-8").replace("\\\n", ""))
+    for command in (c for block in blocks for c in COMMAND.findall(block) if "..." not in c):
+        name, *arguments = shlex.split(command.removeprefix("python ").split(" [-")[0])
+        if name == "topometric":
+            parser().parse_args(arguments)
+        elif (script := ROOT / name[name.find("scripts/") :]).is_file():
+            text = script.read_text(encoding="utf-8")
+            options = [word for word in arguments if word.startswith("--")]
+            assert not [option for option in options if f'"{option}"' not in text], command
 
 
 def test_the_benchmarks_are_all_in_their_contents():
