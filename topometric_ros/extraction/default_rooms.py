@@ -25,6 +25,8 @@ from topometric_ros.extraction.walls import StoreyRaster, WallsConfig, storey_ra
 
 _FLAT = 0.2
 """Points this near to the floor or the ceiling make no wall, m."""
+_UNSEEN = 1.5
+"""Floor is at most so many times as wide as it was seen: what was half seen is not narrow."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,8 @@ def storey_regions(
     features = pair_features(
         raster, pieces, round(merging.sample_step / RASTER), merging.view_range / RASTER
     )
-    regions = merge_pieces(pieces, raster.distance, features, merging)
+    wide = np.minimum(raster.clearance, _UNSEEN * raster.distance)
+    regions = merge_pieces(pieces, wide, features, merging)
     if classifier is not None:
         regions = join_corridors(regions, raster.distance, RASTER, classifier)
     area = np.bincount(regions.ravel()) * RASTER**2

@@ -150,6 +150,7 @@ def merge_pieces(
     """Return the regions, numbered like the lowest of their pieces: (nx, ny) int32, 0 none.
 
     The best pair merges first, ties by the lowest numbers, and the features are taken anew.
+    `distance` (nx, ny) float64, cells, from the walls, tells how wide a corridor is.
     """
     state = _Regions(
         parent=np.arange(len(features.peak)),
