@@ -11,7 +11,9 @@ reached from the part with most rooms; its map is compared with the building's l
 - triangles: three rooms joined pairwise by passages within 1.5 m of each other;
 - stairs: storeys walked, and storeys of the map in one piece by its passages;
 - doors: error of the width, and passages under a lintel;
-- attributes: error of the floor area of rooms that are found whole.
+- attributes: error of the floor area and of the volume of rooms that are found whole; a true
+  volume is that of a room as high as its model says, which under a pitched roof it is not;
+- viewpoints: share of the voxels that any of them sees, as far as preset `thesis` looks.
 """
 
 from __future__ import annotations
@@ -27,12 +29,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from topometric_ros.evaluation.metrics_rooms import assigned, edge_counts, jaccard, room_overlap
+from topometric_ros.extraction.visibility import VisibilityConfig, visibilities
 from topometric_ros.runtime.config import preset_config
 from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.simulation.buildings import load_building
 from topometric_ros.simulation.cases import SimulationConfig, prepare, simulate
 from topometric_ros.simulation.trajectories import Walk
 from topometric_ros.topometric_map import TopometricMap
+from topometric_ros.voxels.grid import VoxelGrid
 
 SEED = 11
 TOGETHER = 1.5
@@ -53,15 +57,22 @@ class Totals:
     triangles: int = 0
     widths: list[float] = field(default_factory=list)
     areas: list[float] = field(default_factory=list)
+    volumes: list[float] = field(default_factory=list)
+    viewpoints: int = 0
+    voxels: int = 0
+    seen: int = 0
 
     def line(self, name: str, storeys: str) -> str:
         """Return the figures as a row of a table."""
         widths = np.abs(self.widths)
-        area = f"{np.median(np.abs(self.areas)):.1%}" if self.areas else "–"
+        area, volume = (
+            f"{np.median(np.abs(errors)):.1%}" if errors else "–"
+            for errors in (self.areas, self.volumes)
+        )
         return (
             f"| {name} | {self.right}/{self.found} | {self.pieces} | {self.covered}/{self.true} "
             f"| {self.triangles} | {storeys} | {np.sum(widths <= 0.1)}/{len(widths)} "
-            f"| {area} |"
+            f"| {area} | {volume} | {self.viewpoints} | {self.seen / max(self.voxels, 1):.1%} |"
         )
 
     def add(self, other: Totals) -> None:
@@ -109,6 +120,14 @@ def joined(m: TopometricMap) -> int:
     return max((len(part) for part in nx.connected_components(graph)), default=0)
 
 
+def seen_from_viewpoints(m: TopometricMap) -> tuple[int, int, int]:
+    """Return how many viewpoints a map has, its voxels, and those that any viewpoint sees."""
+    grid = VoxelGrid(m.voxels, np.array(m.origin), m.voxel_size)
+    sets = visibilities(grid, m.viewpoints.astype(np.float64), VisibilityConfig())
+    words = np.bitwise_or.reduce(sets.words, axis=0)
+    return len(sets), len(grid), int(np.bitwise_count(words).sum())
+
+
 def measure(spec: str, preset: str) -> tuple[Totals, str]:
     """Return the figures of one building, and its storeys in words."""
     config = SimulationConfig(agents=1)
@@ -146,9 +165,14 @@ def measure(spec: str, preset: str) -> tuple[Totals, str]:
     by_id = {room.id: room for room in m.rooms}
     for i, j in assigned(similarity):
         if similarity[i, j] >= WHOLE:
-            x, y = building.rooms[overlap.true_ids[i]].polygon.T
+            true_room, room = building.rooms[overlap.true_ids[i]], by_id[overlap.found_ids[j]]
+            x, y = true_room.polygon.T
             area = abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))) / 2
-            totals.areas.append(by_id[overlap.found_ids[j]].floor_area / area - 1)
+            totals.areas.append(room.floor_area / area - 1)
+            if room.volume is not None:
+                high = true_room.z_high - true_room.z_low
+                totals.volumes.append(room.volume / (area * high) - 1)
+    totals.viewpoints, totals.voxels, totals.seen = seen_from_viewpoints(m)
     walked = {building.rooms[room].storey for room in agent.rooms_walked}
     return totals, f"{len(walked)} walked, {len(m.storeys)} found, {joined(m)} joined"
 
@@ -160,7 +184,8 @@ def main() -> int:
     parser.add_argument("--preset", default="default")
     args = parser.parse_args()
     print("| building | edges right | pieces | links covered | triangles | storeys ", end="")
-    print("| doors within 0.1 m of their width | floor area off by |\n|" + " --- |" * 8)
+    print("| doors within 0.1 m of their width | floor area off by | volume off by ", end="")
+    print("| viewpoints | voxels they see |\n|" + " --- |" * 11)
     total = Totals()
     for spec in args.building:
         totals, storeys = measure(spec, args.preset)

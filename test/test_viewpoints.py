@@ -110,6 +110,22 @@ def test_viewpoints_keep_their_spacing_and_zero_keeps_the_whole_plateau() -> Non
     assert nearest.max() <= 0.5 + 1e-9
 
 
+def test_a_hall_has_viewpoints_near_all_of_its_floor() -> None:
+    floor, navigable = room(241, 161)
+    places = grid_of(navigable).centres()
+
+    def farthest(cover: float) -> tuple[int, float]:
+        eyes = viewpoints(navigable, grid_of(floor), replace(CONFIG, cover=cover))
+        away = np.linalg.norm(places[:, None, :2] - eyes[None, :, :2], axis=-1).min(1)
+        return len(eyes), float(away.max())
+
+    few, far = farthest(0.0)
+    more, near = farthest(4.0)
+    assert far > 8.0
+    assert near < 4.0 + 0.8
+    assert few < more < 3 * few
+
+
 def test_a_viewpoint_keeps_off_the_boundary() -> None:
     floor, navigable = room(2, 30)
     assert len(viewpoints(navigable, grid_of(floor), CONFIG)) == 0

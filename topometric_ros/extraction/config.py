@@ -41,7 +41,7 @@ class ExtractionConfig:
             keep="all", largest_off_floor=4.0, gap=1.0, roofed_gap=3.0, treads=True
         )
     )
-    viewpoints: ViewpointConfig = field(default_factory=lambda: ViewpointConfig(step=2))
+    viewpoints: ViewpointConfig = field(default_factory=lambda: ViewpointConfig(step=2, cover=4.0))
     narrowings: NarrowingsConfig = field(default_factory=NarrowingsConfig)
     views: ThesisRoomsConfig = field(default_factory=ThesisRoomsConfig)
     kinds: RoomKindsConfig = field(default_factory=RoomKindsConfig)

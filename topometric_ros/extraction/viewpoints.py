@@ -1,7 +1,8 @@
 """Viewpoints: where an agent would see most (thesis §4.2.5-4.2.6, Algorithms 2 and 3).
 
 The horizontal distance field tells how far every navigable voxel lies from the edge of the
-navigable volume; its local maxima, lifted to eye height, are the viewpoints.
+navigable volume; its local maxima, lifted to eye height, are the viewpoints. A hall has one maximum
+in its middle, from where nobody sees its ends, so `cover` puts further ones between it and them.
 """
 
 from __future__ import annotations
@@ -12,11 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from topometric_ros.configuration import parameter
 from topometric_ros.voxels.grid import VoxelGrid, in_morton_order
 from topometric_ros.voxels.index import VoxelIndex, row_at
 from topometric_ros.voxels.kernels import ball
+
+_LATTICE = 0.5
+"""Places for further viewpoints lie so far apart in x and y, m."""
+
+_USUAL_DISTANCE = 50
+"""Cells that few maps exceed: a disk of so many is made in a tenth of the time."""
 
 _LARGEST_DISTANCE = 200
 """Cells at which the distance field saturates: 20 m at 0.1 m, wider than any room's middle."""
@@ -63,6 +71,14 @@ class ViewpointConfig:
         minimum=0.0,
         maximum=5.0,
     )
+    cover: float = parameter(
+        0.0,
+        "Where floor lies farther than this from every viewpoint there are further ones; "
+        "0 puts none.",
+        unit="m",
+        minimum=0.0,
+        maximum=50.0,
+    )
 
 
 def horizontal_distance_field(
@@ -93,8 +109,11 @@ def horizontal_distance_field(
         return np.zeros(0, np.int32)
     index = VoxelIndex(navigable) if index is None else index
     widest = int(np.ptp(navigable[:, :2], axis=0).max()) + 2
-    disk, inner, square = _disk(min(widest, _LARGEST_DISTANCE))
-    return _distances(index.table, navigable, disk, inner, square, step)
+    for radius in (min(widest, _USUAL_DISTANCE), min(widest, _LARGEST_DISTANCE)):
+        distance: NDArray[np.int32] = _distances(index.table, navigable, *_disk(radius), step)
+        if distance.max() < radius:
+            break
+    return distance
 
 
 def _disk(
@@ -124,37 +143,45 @@ def _disk(
 
 @njit(cache=True, nogil=True)
 def _distances(table, coords, disk, inner, square, step):  # type: ignore[no-untyped-def]
-    """Squared distance to the first missing cell of the disk, then its root, rounded up."""
-    nearest = np.empty(len(coords), np.int64)
+    """Squared distance to the first missing cell of the disk, then its root, rounded up.
+
+    On the voxel's own layer, `level`, a disk that is full round the neighbour is full round this
+    voxel but for one cell's width; the neighbour's code is lower, so it has been measured already.
+    """
+    level = np.empty(len(coords), np.int64)
     radius = np.empty(len(coords), np.int32)
     height = np.empty(len(disk), np.int64)
     for i in range(len(coords)):
-        x = np.int64(coords[i, 0])
-        y = np.int64(coords[i, 1])
-        height[0] = coords[i, 2]
-        k = 1
-        if step == 0:
-            # A disk that is full round the neighbour is full round this voxel but for one cell's
-            # width; the neighbour's code is lower, so it has been measured already.
-            before = row_at(table, x - 1, y, height[0])
-            if before >= 0:
-                sure = math.sqrt(nearest[before]) - 1.0 - 1e-9
-                k = max(1, np.searchsorted(square, sure * sure)) if sure > 0 else 1
-        while k < len(disk):
-            middle = height[0] if step == 0 else height[inner[k]]
-            found = False
-            for rise in range(step + 1):
-                for sign in (-1, 1):
-                    z = middle + sign * rise
-                    if not found and row_at(table, x + disk[k, 0], y + disk[k, 1], z) >= 0:
-                        height[k] = z
-                        found = True
-            if not found:
-                break
+        x, y, z = np.int64(coords[i, 0]), np.int64(coords[i, 1]), np.int64(coords[i, 2])
+        before = row_at(table, x - 1, y, z)
+        sure = math.sqrt(level[before]) - 1.0 - 1e-9 if before >= 0 else 0.0
+        k = max(1, np.searchsorted(square, sure * sure)) if sure > 0.0 else 1
+        while k < len(disk) and row_at(table, x + disk[k, 0], y + disk[k, 1], z) >= 0:
             k += 1
-        nearest[i] = square[min(k, len(disk) - 1)]
-        radius[i] = max(1, math.ceil(math.sqrt(nearest[i])))
+        level[i] = square[min(k, len(disk) - 1)]
+        if step > 0:
+            height[:k] = z
+            while k < len(disk):
+                rise = _stepped(table, x + disk[k, 0], y + disk[k, 1], height[inner[k]], step)
+                if rise > step:
+                    break
+                height[k] = height[inner[k]] + rise
+                k += 1
+        radius[i] = max(1, math.ceil(math.sqrt(square[min(k, len(disk) - 1)])))
     return radius
+
+
+@njit(cache=True, nogil=True)
+def _stepped(table, x, y, z, step):  # type: ignore[no-untyped-def]
+    """Smallest step from height z to a voxel in a column, down before up; past `step`: none."""
+    if row_at(table, x, y, z) >= 0:
+        return 0
+    for rise in range(1, step + 1):
+        if row_at(table, x, y, z - rise) >= 0:
+            return -rise
+        if row_at(table, x, y, z + rise) >= 0:
+            return rise
+    return step + 1
 
 
 def local_maxima(
@@ -195,7 +222,8 @@ def viewpoints(
 
     Equation 27 keeps every voxel of a plateau, and everything after costs the square of their
     number. Deviation: of maxima within `spacing` of each other only the first stays, the farthest
-    from the boundary first, equal ones in Morton order.
+    from the boundary first, equal ones in Morton order. Where `cover` is given, floor that no
+    maximum is near to gets viewpoints of its own.
 
     Parameters
     ----------
@@ -214,6 +242,11 @@ def viewpoints(
     peak = local_maxima(navigable, distance, config.radius / grid.voxel_size, index)
     peak &= distance > config.boundary
     standing = _thinned(navigable[peak], distance[peak], config.spacing / grid.voxel_size)
+    if config.cover > 0.0:
+        step = max(1, round(_LATTICE / grid.voxel_size))
+        on = (navigable[:, :2] % step == 0).all(axis=1) & (distance > config.boundary)
+        further = _covering(navigable[on], distance[on], standing, config.cover / grid.voxel_size)
+        standing = in_morton_order(np.concatenate([standing, further]))
     return _lifted(standing, grid, config)
 
 
@@ -226,6 +259,26 @@ def _thinned(
     best_first = coords[np.argsort(-distance, kind="stable")]
     kept = _greedy(VoxelIndex(best_first).table, best_first, ball(spacing).offsets())
     return in_morton_order(best_first[kept])
+
+
+def _covering(
+    coords: NDArray[np.int32],
+    distance: NDArray[np.int32],
+    standing: NDArray[np.int32],
+    radius: float,
+) -> NDArray[np.int32]:
+    """Choose voxels so that none is left without a chosen or a `standing` one within `radius`.
+
+    The farthest from the boundary comes first, equal ones in Morton order.
+    """
+    chosen = [standing[:0]]
+    left = coords[np.argsort(-distance, kind="stable")]
+    if len(standing):
+        left = left[~np.isfinite(cKDTree(standing).query(left, distance_upper_bound=radius)[0])]
+    while len(left):
+        chosen.append(left[:1])
+        left = left[np.linalg.norm(left - left[0], axis=1) > radius]
+    return np.concatenate(chosen)
 
 
 @njit(cache=True, nogil=True)
