@@ -76,7 +76,7 @@ setup(
             "pytest>=8",
             "hypothesis>=6.100",
             "laspy[lazrs]>=2.5",
-            "pye57>=0.4.17",
+            f"pye57>=0.4.17; {X86_LINUX}",
             "onnxruntime>=1.20",
             "markov-clustering==0.0.6.dev0",
         ],
