@@ -128,6 +128,7 @@ def test_the_pace_is_kept_while_a_simulated_clock_stands_still(context: Any) -> 
     spin(executor, told_to_end)
     assert limit.is_alive()
     limit.cancel()
+    assert "nothing comes on /clock" in node.clock_silence()
     executor.shutdown()
     node.destroy_node()
 

@@ -61,6 +61,7 @@ def test_a_folder_is_no_state_file_and_stays_where_it_is(tmp_path: Path) -> None
         str(tmp_path / "pipe"),
         "a\0b",
         "~nobody-of-that-name/state",
+        str(tmp_path / "mpas" / "state"),
     ):
         with pytest.raises(ConfigurationError, match="state_file"):
             StateKeeper(path, rclpy.logging.get_logger("test"))

@@ -37,7 +37,7 @@ class StateKeeper:
     ------
     ConfigurationError
         The path is that of a folder, a device or a pipe, which must not be put aside or replaced,
-        or of another merger that is running.
+        of another merger that is running, or in a folder that is not there.
     """
 
     def __init__(self, path: str, logger: Any, patience: float = _PATIENCE_S) -> None:
@@ -53,8 +53,9 @@ class StateKeeper:
         """Let no other merger have the file, and take away what killed ones have left half done."""
         try:
             self._lock = path.with_name(f".{path.name}.lock").open("wb")
-        except OSError:
-            return  # Where nothing can be written, nobody can overwrite anything.
+        except OSError as error:  # Nobody else can overwrite anything there either.
+            self._logger.error(f"{path}: nothing can be kept there: {error.strerror}")
+            return
         until = time.monotonic() + patience
         while True:
             try:
@@ -124,7 +125,8 @@ def _file(path: str) -> Path:
         if not stat.S_ISREG(file.stat().st_mode):
             raise ConfigurationError(f"state_file: expected a file, {file} is something else")
     except FileNotFoundError:
-        pass
+        if not file.parent.is_dir():
+            raise ConfigurationError(f"state_file: no folder {file.parent}") from None
     except (OSError, ValueError, RuntimeError) as error:  # No such user, or no such name at all.
         raise ConfigurationError(f"state_file: {path!r}: {error}") from error
     return file

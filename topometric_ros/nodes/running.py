@@ -18,6 +18,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.nodes.parameter_files import passed_over
@@ -29,6 +30,8 @@ BAD_INPUT = 2
 END_S = 3.0
 """How long a process that is told to end waits for what is being computed."""
 
+_SILENT_S = 10.0
+"""How long after the start it is no wonder that no time has come."""
 _LOOK_S = 0.5
 _CALLBACKS_S = 2.0
 
@@ -78,6 +81,7 @@ class TopometricNode(Node):
         """Begin to listen, to work and to answer; subscribing brings what others have latched."""
         self._listening_before = frozenset(self._listening())
         self._begin()
+        self._clock_look = self.every(_SILENT_S, self._look_at_clock)
         self._active = True
 
     def deactivate(self, limit_s: float = END_S) -> bool:
@@ -98,13 +102,25 @@ class TopometricNode(Node):
     def _listening(self) -> list[Any]:
         return [*self.subscriptions, *self.timers, *self.services]
 
-    def every(self, seconds: float, callback: Callable[[], None]) -> None:
+    def clock_silence(self) -> str:
+        """Return in words that the time stands still for want of a `/clock`; empty: it does not."""
+        simulated = bool(self.get_parameter("use_sim_time").value)
+        if not simulated or self.get_clock().now().nanoseconds > 0:
+            return ""
+        return "use_sim_time is set, but nothing comes on /clock: the time stands still"
+
+    def _look_at_clock(self) -> None:
+        self._clock_look.cancel()
+        if silence := self.clock_silence():
+            self.get_logger().warning(silence)
+
+    def every(self, seconds: float, callback: Callable[[], None]) -> Timer:
         """Call something at a fixed pace of true time.
 
         A simulated clock stands still before its bag starts and when it has ended, with the last
         messages still to be worked on.
         """
-        self.create_timer(seconds, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return self.create_timer(seconds, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def run(
