@@ -29,6 +29,7 @@ _FLOOR_BAND = 0.15
 """How far from a storey's floor something seen may lie and still be floor, m."""
 
 _OUTSIDE = 0.3
+"""How far below the lowest floor or above the highest ceiling something lies outside, m."""
 _LARGE_STOREY = 0.2
 """Share of the voxels; less of a storey may be all that was seen through a stairwell."""
 

@@ -34,11 +34,16 @@ _TILE = 50.0
 """Edge in m of the tiles in which stray points are told: what adjoins no tile lies apart."""
 
 _ISLAND_TILE = 10.0
+"""Edge in m of the tiles in which islands are told."""
 _ISLAND_SHARE = 0.002
+"""Share of the points up to which what lies apart is dropped."""
 _TWICE_AS_LARGE = 2.0
+"""By how much islands must enlarge the area or the height to be dropped."""
 
 _MOST_TILES = 20_000
+"""With more occupied tiles nothing is told to lie apart."""
 _STRAY_SHARE = 0.01
+"""Share of the points up to which strays are dropped."""
 
 
 def without_strays(

@@ -25,23 +25,27 @@ from topometric_ros.extraction.surfaces import (
 from topometric_ros.voxels.grid import thin
 
 _CELL = 0.1
+"""One point is kept in each cell of this edge, so that areas count and not densities, m."""
 _MOST_POINTS = 40_000
 _LAYER = 0.05
-_FIT_BAND = 0.06
-_FIT_ROUNDS = 4
-_COARSE_STEP = 1.5
-_COARSE_PART = 4
+"""Thickness of the layers that the search ends with, m."""
+_FIT_BAND, _FIT_ROUNDS = 0.06, 4
+"""How near to the largest layer's plane points count for its fit, m, and how often it is fitted."""
+_COARSE_STEP, _COARSE_PART = 1.5, 4
+"""The first pass: degrees between slopes, and one point in so many."""
 _NOTICED_TILT = 0.5
+"""Degrees from which a tilt that is left as it is is told."""
 _EXTENT = 2.45
 """Side of a square over the root mean square distance of its points from the middle."""
 
 _WARNED_TILT = 1.0
-_MEASURABLE = 0.1
-_BUILT = 0.5
+"""Degrees from which a tilt that is taken out is a warning and not a note."""
+_MEASURABLE, _BUILT = 0.1, 0.5
 """Share of the points in measured blocks, and of those on thin surfaces, in any building."""
-
 _CLEARLY_LARGER = 1.1
+"""Factor from which another axis' largest layer tells that z is not up."""
 _STILL_TILTED = 5.0
+"""Degrees by which planes lean where the cloud is tilted more than what was looked for."""
 
 _SMALLEST_LAYER = 0.5
 """Area in m² below which nothing is a floor, whatever axis points up."""

@@ -13,7 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 _ROUNDS = 100
+"""Rounds of expanding and inflating, at most."""
 _SMALLEST_FLOW = 1e-3
+"""Smaller parts of a node's flow are dropped, but for its largest."""
 _RELATIVE, _ABSOLUTE = 1e-5, 1e-8
 """Change of a flow from round to round below which it has settled."""
 

@@ -17,8 +17,11 @@ from scipy import ndimage
 from topometric_ros.extraction.walls import StoreyRaster
 
 _CORNER_RADIUS = 4.5
+"""Cells round the end of a wall in which free space is counted."""
 _LINE_CELLS = 8
+"""How far beyond its end a wall is followed, cells."""
 _LINE_MISSES = 2
+"""Cells without wall beside them that end it."""
 _OPPOSITE_COSINE = float(np.cos(np.radians(50.0)))
 
 

@@ -20,9 +20,12 @@ _ROOM_HEIGHTS = (1.9, 6.0)
 """Free heights that call for no question, m."""
 
 _TALLEST_HALL = 15.0
+"""Free height from which the cloud is rather in another unit than of a hall, m."""
 
 _MOST_WITHOUT_ROOM = 0.25
+"""Share of the voxels: with more in no room, something was missed."""
 _NOISY = 0.03
+"""Standard deviation of the points about their surfaces, m."""
 _LEAST_FLAT = 0.35
 """Share of the points on thin surfaces; right clouds measured from 0.54, clumps of points 0.04."""
 
@@ -31,12 +34,19 @@ _LEAST_STRAIGHT = 0.4
 """
 
 _LEAST_UPRIGHT = 0.1
+"""Share of upright surfaces: with fewer, walls were hardly seen."""
 _MEASURED = 0.1
+"""Share of the points in blocks with enough of them; of fewer nothing is told."""
 _LOW_VIEW = 2.2
+"""Height above the floors up to which anything must have been seen, m."""
 _LEAST_FILLED = 0.6
+"""Share of the voxels that surfaces should have: with fewer they are too small."""
 _LARGEST_VOXEL = 0.3
+"""Edge up to which a larger voxel is advised, m."""
 _LEAST_FLOOR = 0.5
+"""Share of the rooms' area under which floor, or over which a ceiling, must have been seen."""
 _MOST_BELOW_FLOOR = 0.2
+"""Share of all voxels: with more, the lowest floor was missed."""
 _SMALL_PART = 4.0
 """m²: rooms without a passage smaller than this are closets and scraps, no part of their own."""
 

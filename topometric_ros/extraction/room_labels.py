@@ -16,7 +16,9 @@ _PARTS = 2
 """Fine cells along the edge of a cell."""
 
 _GROWTH = 2
+"""Fine cells by which rooms grow into the walls."""
 _FEWEST = 2
+"""Upright points of a fine cell that end this growth."""
 
 
 def label_points(

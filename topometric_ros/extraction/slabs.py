@@ -24,9 +24,13 @@ _SEARCH = 0.3
 """How far from its layer a face is looked for, m."""
 
 _STEP = 0.02
+"""Bins of heights, m."""
 _SHARE = 0.3
+"""Share of the fullest two bins that the outermost face must have."""
 _FEWEST = 100
+"""Voxels that tell a height."""
 _KNOWN_SHARE = 0.2
+"""Share of a layer's voxels of which it must be known which side is free."""
 
 
 def floor_height(columns: Columns, heights: NDArray[np.float64], level: float) -> float | None:

@@ -1,7 +1,7 @@
 """Storeys by headroom: a floor is where much has room to stand above it, a ceiling where that ends.
 
-Everything is read from columns of 0.1 m voxels: how many cells are free above each voxel. Heights
-in the recipe are cells of that size; the results are metres, as fine as the points allow.
+Everything is read from columns of 0.1 m voxels: how many cells are free above each voxel. Levels
+are cells of that size; the results are metres, as fine as the points allow.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def _stands_out(counts: NDArray[np.int64], level: int, factor: float) -> bool:
 
 
 def _floor_levels(levels: _Levels, config: StoreyConfig) -> list[int]:
-    """Return the cells of the floors, lowest first (change B of the recipe)."""
+    """Return the cells of the floors, lowest first: those with a ceiling, then those without."""
     floors: list[int] = []
     covered, open_ = levels.floors, levels.open
     for level in _candidates(covered, config):

@@ -19,7 +19,9 @@ _BLOCK = 0.3
 """Edge in m of the blocks in which a plane is fitted to the points."""
 
 _MOST_POINTS = 200_000
+"""Points that are looked at, evenly drawn from more."""
 _FEWEST_IN_BLOCK = 8
+"""Points that make a block worth a plane."""
 _THIN = 0.04
 """A block whose points lie within this of a plane (standard deviation, m) is a surface."""
 
@@ -28,6 +30,7 @@ _LEVEL = 0.97
 """Height of a surface's normal below which it is upright, and above which it is level."""
 
 _MOST_CANDIDATES = 500
+"""Directions that are tried as the walls' own."""
 _BUILT = 0.6
 """Share of a building's surfaces that lie along one direction or square to it."""
 
@@ -39,10 +42,12 @@ _WALL_BLOCK = 1.2
 """Height in m of the blocks that walls are measured in: a lean shows over a height."""
 
 _THICK_WALL = 0.07
+"""Standard deviation from its plane above which a block holds more than a wall, m."""
 _LEANING = 0.1
 """Height of a wall's normal, about six degrees."""
 
 _FEWEST_ON_WALLS = 2000
+"""Points on walls of one direction that tell a lean."""
 _LEAST_ACROSS = 0.05
 """Weight of the walls that run across the others, as a share of theirs."""
 
@@ -59,6 +64,7 @@ _SMALLEST_SHARE_OF_GAPS = 0.02
 """Fewer voxels under or over a gap say nothing: of a cloud without ceilings lintels remain."""
 
 _GAP_SHARE = 0.5
+"""Share of the gaps that the commonest one must have to tell a spacing."""
 _MOST_BLOCKS = 5_000_000
 """Up to so many blocks are all counted; of more, as of wide clouds, only those that occur."""
 

@@ -264,7 +264,7 @@ def _without_roofs(
     flight: NDArray[np.bool_],
     radius: float,
 ) -> NDArray[np.bool_]:
-    """Close walls and drop roofs, which are thick and stand on nothing (change C of the recipe).
+    """Close walls and drop roofs, which are thick and stand on nothing.
 
     A roof is known by a place that is too thick and has too much round it that stands on nothing
     for a lintel, and is too far from all that stands for the inside of a wall. What stands on

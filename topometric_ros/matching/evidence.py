@@ -30,8 +30,8 @@ from topometric_ros.matching.search_poses import (
 from topometric_ros.matching.search_refine import RefineConfig, refine_pose
 from topometric_ros.topometric_map import TopometricMap
 
-_SCORE_ZERO_AT_WALLS = 0.1
-_SCORE_ZERO_AT_FURNITURE = 0.5
+_SCORE_ZERO_AT_WALLS, _SCORE_ZERO_AT_FURNITURE = 0.1, 0.5
+"""Shares of the walls, and of the furniture, in conflict from which a pose has no value."""
 _FURNITURE_ASSUMED = 10
 """Furniture cells in agreement that are added to those judged: few cells say little."""
 

@@ -28,9 +28,10 @@ from topometric_ros.matching.search_fields import (
 )
 from topometric_ros.matching.search_poses import Pose
 
-_CELLS_WALL_BLUR = 0.8
-_BLUR_GAIN = 1.8
+_CELLS_WALL_BLUR, _BLUR_GAIN = 0.8, 1.8
+"""How far walls are smeared, as a coarse pose is half a cell off, and what makes up for it."""
 _LAYERS = 4
+"""What is correlated of a storey: walls, their free sides along x and y, free floor."""
 
 _BLOCK = 8
 """Cells along the side of a block of shifts of which the best one is kept."""

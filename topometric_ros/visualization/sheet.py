@@ -101,6 +101,8 @@ class Sheet:
         self._axes.set_axis_off()
         self._seen: list[tuple[float, float, float, float]] = []
         self._rasters: list[Raster] = []
+        self._legend: list[Any] = []
+        self._head = 0.0  # Room that captions need above the drawing, inches.
 
     def include(self, bounds: tuple[float, float, float, float]) -> None:
         """Make sure that the picture covers left, bottom, right, top, m on the sheet."""
@@ -230,10 +232,6 @@ class Sheet:
             else:
                 handles.append(Patch(facecolor=colour, edgecolor="none", label=text))
         self._legend = handles
-
-    _legend: Sequence[Any] = ()
-    _head: float = 0.0
-    """Room that captions need above the drawing, inches."""
 
     def png(self, width: float = 9.0, tallest: float = 8.0) -> bytes:
         """Return the picture, `width` inches wide or less and at most `tallest` inches high."""
