@@ -8,7 +8,7 @@ import numpy as np
 
 from topometric_ros.evaluation.benchmark import BenchmarkRow
 from topometric_ros.evaluation.metrics_fusion import LITTLE_OVERLAP, RIGHT
-from topometric_ros.evaluation.table_cells import rate, share
+from topometric_ros.evaluation.table_cells import markdown_table, rate, share
 
 _BANDS = ((0.5, 1.01), (0.35, 0.5), (0.2, 0.35), (LITTLE_OVERLAP, 0.2))
 
@@ -75,7 +75,7 @@ def _summary(by_peer: dict[str, list[BenchmarkRow]]) -> str:
                 _peak(rows),
             ]
         )
-    return _table(head, lines)
+    return markdown_table(head, lines)
 
 
 def _by_cell(by_peer: dict[str, list[BenchmarkRow]]) -> list[str]:
@@ -103,7 +103,7 @@ def _by_cell(by_peer: dict[str, list[BenchmarkRow]]) -> list[str]:
             [cell, *(measured([r for r in rows if r.cell == cell]) for rows in by_peer.values())]
             for cell in cells
         ]
-        parts.append(f"{title}, by cell:\n\n" + _table(["cell", *by_peer], lines))
+        parts.append(f"{title}, by cell:\n\n" + markdown_table(["cell", *by_peer], lines))
     return parts
 
 
@@ -133,7 +133,7 @@ def _by_overlap(by_peer: dict[str, list[BenchmarkRow]]) -> str:
         if any(cells):
             name = f"{low:g} and more" if high > 1 else f"{low:g} to {high:g}"
             lines.append([name, *(share_of(cell, lambda row: row.right) for cell in cells)])
-    return _table(["overlap", *by_peer], lines)
+    return markdown_table(["overlap", *by_peer], lines)
 
 
 def _by_pair(by_peer: dict[str, list[BenchmarkRow]]) -> str:
@@ -145,7 +145,7 @@ def _by_pair(by_peer: dict[str, list[BenchmarkRow]]) -> str:
             row = next((row for row in rows if row.pair == pair), None)
             line.append("" if row is None else _displacement(row))
         lines.append(line)
-    return _table(["pair", "overlap", *by_peer], lines)
+    return markdown_table(["pair", "overlap", *by_peer], lines)
 
 
 def _displacement(row: BenchmarkRow) -> str:
@@ -155,10 +155,3 @@ def _displacement(row: BenchmarkRow) -> str:
     if row.displacement < RIGHT[0] and row.angle >= RIGHT[1]:
         text += f" ({row.angle:.0f}°)"
     return f"**{text}**" if row.accepted else text
-
-
-def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    rule = "|---" + "|---:" * (len(head) - 1) + "|"
-    return "\n".join(
-        [f"| {' | '.join(head)} |", rule, *(f"| {' | '.join(line)} |" for line in lines)]
-    )

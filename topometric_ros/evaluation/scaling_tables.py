@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from topometric_ros.evaluation.scaling import Measures, Size, seconds_of
+from topometric_ros.evaluation.table_cells import markdown_table
 
 Known = Mapping[Size, Measures]
 STEPS = ("extract", "merge")
@@ -21,7 +22,7 @@ def scaling_tables(known: Known, failed: Mapping[Size, str]) -> str:
     head += ["extract CPU s", "merge CPU s"]
     head += ["extract peak MB", "merge peak MB", "map kB", "global map kB"]
     head += ["pairs", "sharing half", "accepted", "wrong"]
-    parts = [_table(head, [_summary(size, m) for size, m in known.items()])]
+    parts = [markdown_table(head, [_summary(size, m) for size, m in known.items()])]
     for step in STEPS:
         stages = list(dict.fromkeys(s for m in known.values() for s in seconds_of(m, step)))
         lines = []
@@ -29,7 +30,7 @@ def scaling_tables(known: Known, failed: Mapping[Size, str]) -> str:
             seconds = seconds_of(m, step)
             cells = [f"{seconds[s]:.2f}" if s in seconds else "–" for s in stages]
             lines.append([_name(size), *cells])
-        parts.append(f"CPU seconds of {step} by stage:\n\n" + _table(["", *stages], lines))
+        parts.append(f"CPU seconds of {step} by stage:\n\n" + markdown_table(["", *stages], lines))
     if failed:
         said = "\n".join(f"- {_name(size)}: {error}" for size, error in failed.items())
         parts.append("Sizes that gave nothing:\n\n" + said)
@@ -125,9 +126,3 @@ def _summary(size: Size, m: Measures) -> list[str]:
 
 def _name(size: Size) -> str:
     return f"{size.rooms} × {size.agents}"
-
-
-def _table(head: list[str], lines: list[list[str]]) -> str:
-    rule = "|---" + "|---:" * (len(head) - 1) + "|"
-    rows = [f"| {' | '.join(line)} |" for line in lines]
-    return "\n".join([f"| {' | '.join(head)} |", rule, *rows])
