@@ -60,8 +60,10 @@ def _summary(rows: Sequence[CaseResult]) -> list[tuple[str, str]]:
     numbers = [(str(len({row.case for row in rows})), "cases")]
     for preset in presets:
         words = [verdict(row)[1] for row in rows if row.preset == preset]
-        for outcome in ("right", "not merged", "false merge", "failed"):
-            numbers.append((str(words.count(outcome)), f"{outcome}, preset {preset}"))
+        numbers += [
+            (str(words.count(outcome)), f"{outcome}, preset {preset}")
+            for outcome in ("right", "not merged", "false merge", "failed")
+        ]
     return numbers
 
 

@@ -165,8 +165,8 @@ def _calibration(rows: Sequence[CaseResult]) -> Table:
 def _wire(rows: Sequence[CaseResult]) -> Table:
     cells = []
     for _, preset, members in grouped(rows, lambda row: ""):
-        members = [row for row in members if row.rooms_walked]
-        sizes, points = column(members, "message_bytes"), column(members, "points")
+        seen = [row for row in members if row.rooms_walked]
+        sizes, points = column(seen, "message_bytes"), column(seen, "points")
         if sizes:
             shares = [100 * s / (RAW_POINT_BYTES * p) for s, p in zip(sizes, points, strict=True)]
             kilobytes = median([s / 1000 for s in sizes], 0, "kB")

@@ -22,9 +22,9 @@ def matching_table(rows: Sequence[CaseResult]) -> Table:
     """Return what each stage matched, a row for each group of cases, preset and stage."""
     cells = []
     for group, preset, members in grouped(rows, lambda row: row.group):
-        members = [row for row in members if row.room_pairs]
-        for stage, words in STAGES.items() if members else ():
-            pairs = [(row, k) for row in members for k in range(len(row.room_pairs))]
+        known = [row for row in members if row.room_pairs]
+        for stage, words in STAGES.items() if known else ():
+            pairs = [(row, k) for row in known for k in range(len(row.room_pairs))]
             counts, loose = _totals(pairs, stage), _totals(pairs, stage, by_overlap=True)
             cells.append(
                 (
@@ -34,7 +34,7 @@ def matching_table(rows: Sequence[CaseResult]) -> Table:
                     f"{100 * counts.accuracy:.2f} % (N = {counts.pairs})" if counts.pairs else "–",
                     f"{counts.f1:.2f}",
                     share(loose.right, loose.made),
-                    mean(_precisions(members, stage)),
+                    mean(_precisions(known, stage)),
                 )
             )
     head = (
@@ -54,9 +54,9 @@ def matches_by_overlap(rows: Sequence[CaseResult]) -> Table:
     """Return the matches of alignments by the overlap that there is, a row for each band."""
     cells = []
     for _, preset, members in grouped(rows, lambda row: ""):
-        members = [row for row in members if row.room_pairs]
+        known = [row for row in members if row.room_pairs]
         for low, high in BANDS:
-            pairs = [(r, k) for r in members for k, o in enumerate(r.overlap) if low <= o < high]
+            pairs = [(r, k) for r in known for k, o in enumerate(r.overlap) if low <= o < high]
             taken = [(row, k) for row, k in pairs if row.accepted[k]]
             if pairs:
                 forms = [_totals(taken, "final", loose) for loose in (False, True)]
