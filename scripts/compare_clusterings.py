@@ -73,7 +73,7 @@ def score(agent: SimulatedAgent, config: ExtractionConfig, clustering: Clusterin
     """Return the mean IoU over the rooms that an agent walked through."""
     original = thesis_rooms.cluster_visibilities
 
-    def clustered(sets: Visibilities, _: SimilarityConfig) -> NDArray[np.int32]:
+    def clustered(sets: Visibilities, config: SimilarityConfig) -> NDArray[np.int32]:
         return clustering(jaccard(sets))
 
     thesis_rooms.cluster_visibilities = clustered
