@@ -80,10 +80,11 @@ def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
 
 def test_furniture_that_was_put_there_anew_is_a_twin_s_even_where_no_cell_conflicts():
     e = good(free_share=0.3, free_floor=90.0, furniture_judged=300)
-    for anew in (Pieces(9, 3), Pieces(5, 2), Pieces(2, 0)):
+    for anew in (Pieces(9, 3, 9, 3), Pieces(7, 4, 5, 2), Pieces(2, 0, 2, 0)):
         told = twin_doubt(e, CONFIG, lambda pieces=anew: pieces)
         assert f"of {anew.fixed} pieces" in told
-    for as_before in (Pieces(22, 17), Pieces(3, 1), Pieces(1, 0), Pieces(0, 0)):
+    drifted = Pieces(9, 3, 1, 0)
+    for as_before in (Pieces(22, 17, 22, 17), Pieces(3, 1, 3, 1), drifted, Pieces(0, 0)):
         assert not twin_doubt(e, CONFIG, lambda pieces=as_before: pieces)
 
 

@@ -4,7 +4,8 @@ Where a fifth of the furniture was moved between two visits, as much of it confl
 identical flat that is furnished alike. But what was not moved stands exactly where it stood, and in
 another flat nothing does that was put there by hand: so each piece is laid on the other map's by
 itself, and by how far it has to be moved tells the two apart. A piece beside a wall is fixed in one
-direction only and says little, for desks are pushed against walls everywhere.
+direction only and says little, for desks are pushed against walls everywhere. Drift moves whole
+rooms, so the walls around a piece are laid on the other map's too, and it is measured from them.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ _FIXED = 4.0
 """Pairs that must speak for a direction before a piece is fixed in it."""
 
 _KEPT = 0.04
-"""Offset in metres up to which a piece stands where it stood: drift moves whole rooms so far."""
+"""Offset from the walls around it, m, up to which a piece stands where it stood."""
+
+_AROUND, _IN_PLACE = 4.0, 0.02
+"""Distance (m) of the walls around a piece, and the offset (m) up to which they are in place."""
 
 _BY_CHANCE, _SURE = 0.3, 0.02
 """Share of the pieces that stand alike in a flat furnished to the same plan, and how unlikely it
@@ -54,36 +58,45 @@ _LEFT, _DISPLACED, _FEWEST = 0.7, 0.2, 2
 """Share of the pieces that stand where they stood between two visits at the least, and how unlikely
 it must be that as few do, of so many pieces and more: below that they were put there anew.
 
-Of 198 right poses one has as few (0 of 3); twin wings furnished otherwise 0 of 2 to 2 of 5."""
+Only pieces count whose walls are in place, as a twin's are: where they are not it is drift."""
 
 
-Furniture = tuple[Surface, NDArray[np.int64]]
-"""Upright faces of furniture, and the number (n,) of the piece of each."""
+@dataclass(frozen=True)
+class Furniture:
+    """Upright faces of furniture, the number (n,) of the piece of each, and the walls as high."""
+
+    faces: Surface
+    piece: NDArray[np.int64]
+    walls: Walls
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """How many pieces are fixed in both directions of the plan, and how many were not moved."""
+    """How many pieces are fixed in both directions of the plan, and how many were not moved.
+
+    `placed` and `placed_kept` are of those of which the walls around are in place.
+    """
 
     fixed: int
     kept: int
+    placed: int = 0
+    placed_kept: int = 0
 
     @property
     def same(self) -> bool:
         """Whether more stand where they stood than in a flat furnished to the same plan."""
-        return self.fixed > 0 and 1.0 - self._as_few(self.kept - 1, _BY_CHANCE) < _SURE
+        return self.fixed > 0 and 1.0 - _as_few(self.fixed, self.kept - 1, _BY_CHANCE) < _SURE
 
     @property
     def displaced(self) -> bool:
         """Whether fewer stand where they stood than moved furniture explains, if only by a hand."""
-        return self.fixed >= _FEWEST and self._as_few(self.kept, _LEFT) < _DISPLACED
+        few = _as_few(self.placed, self.placed_kept, _LEFT)
+        return self.placed >= _FEWEST and few < _DISPLACED
 
-    def _as_few(self, count: int, share: float) -> float:
-        """Return how likely so many or fewer of the fixed pieces stand where they stood."""
-        return sum(
-            math.comb(self.fixed, k) * share**k * (1.0 - share) ** (self.fixed - k)
-            for k in range(count + 1)
-        )
+
+def _as_few(of: int, count: int, share: float) -> float:
+    """Return how likely `count` or fewer of so many pieces stand where they stood."""
+    return sum(math.comb(of, k) * share**k * (1.0 - share) ** (of - k) for k in range(count + 1))
 
 
 def compare_furniture(
@@ -99,63 +112,112 @@ def compare_furniture(
     of_a, of_b = furniture_of(*a), furniture_of(*b)
     ways = (laid_on(of_a, of_b, T_a_b), laid_on(of_b, of_a, inverse(T_a_b)))
     # Most pieces were seen by both, so each is counted twice.
-    fixed = math.ceil(sum(way.fixed for way in ways) / 2)
-    return Pieces(fixed, sum(way.kept for way in ways) // 2)
+    return Pieces(
+        fixed=math.ceil(sum(way.fixed for way in ways) / 2),
+        kept=sum(way.kept for way in ways) // 2,
+        placed=sum(way.placed for way in ways) // 2,
+        placed_kept=math.ceil(sum(way.placed_kept for way in ways) / 2),
+    )
 
 
 def laid_on(a: Furniture, b: Furniture, T_a_b: Transform) -> Pieces:
     """Lay each piece of furniture of b on the furniture of a, moving it on the plan."""
-    target, (source, piece) = a[0], b
-    if len(target) == 0 or len(source) == 0:
+    if len(a.faces) == 0 or len(b.faces) == 0:
         return Pieces(0, 0)
-    tree = cKDTree(target.points)
-    points, normals = apply(T_a_b, source.points), source.normals @ T_a_b[:3, :3].T
-    fixed = kept = 0
-    for number in np.unique(piece):
-        own = piece == number
-        offset = _offset(points[own], normals[own], target, tree)
-        fixed += offset is not None
-        kept += offset is not None and offset <= _KEPT
-    return Pieces(fixed, kept)
+    target = _Target(a.faces)
+    points, normals = apply(T_a_b, b.faces.points), b.faces.normals @ T_a_b[:3, :3].T
+    fixed, kept, placed = 0, [], []
+    for number in np.unique(b.piece):
+        own = b.piece == number
+        offset = target.offset(points[own], normals[own])
+        if offset is None:
+            continue
+        fixed += 1
+        if _length(offset) <= _KEPT:
+            kept.append(True)
+            placed.append(True)
+            continue
+        walls = _walls_moved(a.walls, b.walls, b.faces.points[own].mean(axis=0), T_a_b)
+        kept.append(walls is not None and _length(offset - walls) <= _KEPT)
+        placed.append(walls is not None and _length(walls) <= _IN_PLACE)
+    return Pieces(fixed, sum(kept), sum(placed), int(np.sum(np.logical_and(kept, placed))))
+
+
+def _walls_moved(
+    a: Walls, b: Walls, centre: NDArray[np.float64], T_a_b: Transform
+) -> NDArray[np.float64] | None:
+    """Return how b's walls around a point of b must be moved onto a's, (2,) m; None if unknown."""
+    source = b.around(centre, _AROUND)
+    target = a.around(apply(T_a_b, centre[None])[0], _AROUND + _REACHES[0])
+    return _Target(target).offset(apply(T_a_b, source.points), source.normals @ T_a_b[:3, :3].T)
 
 
 def furniture_of(topometric_map: TopometricMap, surface: Surface) -> Furniture:
-    """Return the upright faces of furniture, and the number of the piece of each."""
-    piece = np.zeros(len(surface), dtype=np.int64)
+    """Return the upright faces of furniture and the walls as high as it."""
+    piece, high = np.zeros(len(surface), dtype=np.int64), np.zeros(len(surface), dtype=np.bool_)
     around = np.ones((3, 3), dtype=bool)
     for storey in topometric_map.storeys:
         layers, height = storey.layers, surface.points[:, 2] - storey.floor_z
         labels, _ = ndimage.label(ndimage.binary_dilation(layers.furniture, around), around)
         cells, inside = layers.cells_at(surface.points[:, :2])
         rows = np.flatnonzero(inside & (height > _LOWEST) & (height < _HIGHEST))
+        high[rows] = True
         found = labels[tuple(cells[rows].T)]
         piece[rows[found > 0]] = found[found > 0] + piece.max(initial=0)
-    rows = np.flatnonzero(piece > 0)
+    rows = _upright(surface, np.flatnonzero(piece > 0))
+    walls = Walls(surface, np.flatnonzero(high & (piece == 0)))
+    return Furniture(surface.take(rows), piece[rows], walls)
+
+
+def _upright(surface: Surface, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     normals, _ = surface.facing(rows)
-    rows = rows[np.abs(normals[:, 2]) < _UPRIGHT]
-    return surface.take(rows), piece[rows]
+    return rows[np.abs(normals[:, 2]) < _UPRIGHT]
 
 
-def _offset(
-    points: NDArray[np.float64], normals: NDArray[np.float64], target: Surface, tree: cKDTree
-) -> float | None:
-    """Return how far a piece's faces (n, 3) must be moved on the plan, m; None if not fixed."""
-    if len(points) < _FEWEST_POINTS:
-        return None
-    offset = np.zeros(3)
-    for reach in _REACHES:
-        moved = points + offset
-        distance, nearest = tree.query(moved, k=_NEIGHBOURS, distance_upper_bound=reach)
-        found = np.isfinite(distance)
-        nearest = np.where(found, nearest, 0)
-        there = target.normals[nearest]
-        found &= np.abs(np.sum(there * normals[:, None], axis=2)) > _PARALLEL
-        if np.count_nonzero(found) < _FEWEST_PAIRS:
-            return None
-        n = there[found][:, :2]
-        residual = np.sum(there * (target.points[nearest] - moved[:, None]), axis=2)[found]
-        H = n.T @ n
-        if np.linalg.eigvalsh(H)[0] <= _FIXED:
-            return None
-        offset[:2] += np.linalg.solve(H, n.T @ residual)
+class Walls:
+    """What is as high as furniture and none; its normals are fitted where it is asked for."""
+
+    def __init__(self, surface: Surface, rows: NDArray[np.int64]) -> None:
+        self._surface, self._rows = surface, rows
+
+    def around(self, centre: NDArray[np.float64], distance: float) -> Surface:
+        """Return the upright faces within a distance (m) of a point (3,), on the plan."""
+        apart = self._surface.points[self._rows] - centre
+        near = self._rows[np.hypot(apart[:, 0], apart[:, 1]) <= distance]
+        return self._surface.take(_upright(self._surface, near))
+
+
+def _length(offset: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(offset))
+
+
+class _Target:
+    """Faces that others are laid on."""
+
+    def __init__(self, faces: Surface) -> None:
+        self._points, self._normals = faces.points, faces.normals
+        self._tree = cKDTree(faces.points)
+
+    def offset(
+        self, points: NDArray[np.float64], normals: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return how faces (n, 3) must be moved on the plan, (2,) m; None if not fixed."""
+        if len(points) < _FEWEST_POINTS or len(self._points) == 0:
+            return None
+        offset = np.zeros(3)
+        for reach in _REACHES:
+            moved = points + offset
+            distance, nearest = self._tree.query(moved, k=_NEIGHBOURS, distance_upper_bound=reach)
+            found = np.isfinite(distance)
+            nearest = np.where(found, nearest, 0)
+            there = self._normals[nearest]
+            found &= np.abs(np.sum(there * normals[:, None], axis=2)) > _PARALLEL
+            if np.count_nonzero(found) < _FEWEST_PAIRS:
+                return None
+            n = there[found][:, :2]
+            residual = np.sum(there * (self._points[nearest] - moved[:, None]), axis=2)[found]
+            H = n.T @ n
+            if np.linalg.eigvalsh(H)[0] <= _FIXED:
+                return None
+            offset[:2] += np.linalg.solve(H, n.T @ residual)
+        return offset[:2]

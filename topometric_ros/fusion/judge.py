@@ -24,6 +24,10 @@ from topometric_ros.matching.candidate import Candidate
 from topometric_ros.matching.evidence import evaluate
 from topometric_ros.matching.likeness import likeness
 
+_CLEAN = 0.005
+"""Share of the walls in conflict up to which only a copy casts doubt on a small part in common;
+where more conflicts, the place may be a rough copy itself."""
+
 FinePose = Callable[[Candidate], Registration]
 """Registers a candidate finely: `fusion.fine_pose.fine_poses` of two maps."""
 
@@ -73,7 +77,8 @@ def unless_elsewhere(
         T = fine(candidate).T_target_source
     except RegistrationError:
         T = candidate.T_a_b
-    share = likeness(a.fields, b.fields, T, config.search.scoring)
+    clean = evidence.wall_conflict <= _CLEAN
+    share = likeness(a.fields, b.fields, T, config.search.scoring, copies=clean)
     return doubt_repeated(decision, evidence, share, limits)
 
 

@@ -41,7 +41,11 @@ _REFINE = RefineConfig(coarse_samples=3000, second_samples=6000, keep_coarse=8, 
 
 
 def likeness(
-    a: MapFields, b: MapFields, T_a_b: NDArray[np.float64], config: ScoringConfig
+    a: MapFields,
+    b: MapFields,
+    T_a_b: NDArray[np.float64],
+    config: ScoringConfig,
+    copies: bool = False,
 ) -> float:
     """Return how well what two maps share at a pose fits elsewhere: a share of how it fits there.
 
@@ -50,6 +54,7 @@ def likeness(
     a, b : what :func:`search_fields.prepare` made of the maps
     T_a_b : (4, 4) float64, m, level frame of b to level frame of a
     config : ScoringConfig, the same that the search used
+    copies : count only places whose walls fit as a copy's would; else rough likeness does
 
     Returns
     -------
@@ -59,10 +64,12 @@ def likeness(
     pose = pose_of(T_a_b)
     back = pose_of(np.asarray(np.linalg.inv(pose.matrix()), np.float64))
     ways = ((a, _common_part(a, b, pose), pose), (b, _common_part(b, a, back), back))
-    return max(_elsewhere(host, part, there, config) for host, part, there in ways)
+    return max(_elsewhere(host, part, there, config, copies) for host, part, there in ways)
 
 
-def _elsewhere(host: MapFields, part: MapFields, there: Pose, config: ScoringConfig) -> float:
+def _elsewhere(
+    host: MapFields, part: MapFields, there: Pose, config: ScoringConfig, copies: bool
+) -> float:
     """S of the best other pose of a part in a map, over S of the given one."""
     cells = [s.walls for s in part.storeys if len(s.walls)]
     if not cells:
@@ -76,12 +83,13 @@ def _elsewhere(host: MapFields, part: MapFields, there: Pose, config: ScoringCon
     centre = np.concatenate(cells).mean(axis=0)
     found = refine_poses(host, part, sweep(host, part, _SWEEP), config, _REFINE)
     others = [p for p in found if not same_pose(p, there, centre, DISTINCT)]
-    floor = evaluate(host, part, there.matrix(), config).free_floor
-    alike = [p.score for p in others if _is_alike(host, part, p, floor, config)]
-    return float(max(0.0, *alike) / score) if alike else 0.0
+    if copies:
+        floor = evaluate(host, part, there.matrix(), config).free_floor
+        others = [p for p in others if _is_copy(host, part, p, floor, config)]
+    return max(0.0, *(float(p.score) for p in others)) / score if others else 0.0
 
 
-def _is_alike(
+def _is_copy(
     host: MapFields, part: MapFields, pose: Pose, floor: float, config: ScoringConfig
 ) -> bool:
     """Whether a part fits a pose as its copy would, of which some of the floor (m²) was seen."""
