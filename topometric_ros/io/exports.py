@@ -109,11 +109,7 @@ def _write_pcd(
 ) -> list[Path]:
     """Write a binary PCD as PCL reads it: x y z, packed rgb, the room as label, storey, agent."""
     table = cloud_table(m, observed_by)
-    largest = (
-        max((float(np.abs(table[axis]).max()) for axis in "xyz"), default=0.0)
-        if len(table)
-        else 0.0
-    )
+    largest = max(float(np.abs(table[axis]).max(initial=0.0)) for axis in "xyz")
     kind = "<f4" if largest < _FLOAT32_REACH else "<f8"
     packed = (
         (table["red"].astype(np.uint32) << 16)
