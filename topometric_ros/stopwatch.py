@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 
@@ -20,4 +20,10 @@ class Stopwatch:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.thread_time() - start
+            self.add({name: time.thread_time() - start})
+
+    def add(self, seconds: Mapping[str, float], before: str = "") -> None:
+        """Add seconds by stage, as measured elsewhere too, with `before` in front of the names."""
+        for name, value in seconds.items():
+            stage = f"{before}{name}"
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + value

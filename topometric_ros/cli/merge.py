@@ -63,6 +63,7 @@ def merge(options: argparse.Namespace) -> int:
     from topometric_ros.io.merge_files import merge_summary
     from topometric_ros.io.summaries import rounded_timings
     from topometric_ros.runtime.sources import load_source, named_sources
+    from topometric_ros.stopwatch import Stopwatch
 
     if len(options.sources) < 2:
         raise MergeArgumentError(
@@ -77,14 +78,13 @@ def merge(options: argparse.Namespace) -> int:
         if index >= len(of_file):
             raise MergeArgumentError(f"--prior: {told}")
     loaded = [load_source(source, config, inputs_of(options), progress) for source in named]
-    timings: dict[str, float] = {}
+    watch = Stopwatch()
     for entry in loaded:
-        for stage, seconds in entry.timings.items():
-            timings[f"extract.{stage}"] = timings.get(f"extract.{stage}", 0.0) + seconds
+        watch.add(entry.timings, "extract.")
     maps = [entry.map for entry in loaded]
     sources = {entry.map.agent: entry.source for entry in loaded}
     result = merge_maps(maps, config.merge, sources=sources, progress=progress)
-    timings |= result.timings
+    timings = watch.seconds | result.timings
     folder = output_folder(options)
     progress("writing the report")
     ways = [entry.trajectory for entry in loaded if entry.trajectory]

@@ -32,6 +32,7 @@ from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.simulation.buildings import load_building
 from topometric_ros.simulation.degrade import DegradeConfig, random_frame
 from topometric_ros.simulation.surfaces import sampled_surfaces
+from topometric_ros.stopwatch import Stopwatch
 
 ROWS = "scaling.csv"
 _HEAD = ("rooms", "agents", "measure", "value")
@@ -144,7 +145,7 @@ def sample_clouds(size: Size, folder: Path) -> Measures:
 def extract_maps(size: Size, folder: Path) -> Measures:
     """Write each agent's map."""
     config = preset_config("default")
-    seconds: Measures = {}
+    watch = Stopwatch()
     voxels = most_bytes = 0
     for k in range(size.agents):
         points = np.load(folder / f"{k}.npy").astype(np.float64)
@@ -152,14 +153,13 @@ def extract_maps(size: Size, folder: Path) -> Measures:
             points, config.extraction, config.merge.matching, agent=f"{k}", session=f"{k}"
         )
         del points
-        for stage, value in extraction.timings.items():
-            seconds[f"extract.{stage}"] = seconds.get(f"extract.{stage}", 0.0) + value
+        watch.add(extraction.timings, "extract.")
         save_map(folder / f"{k}.tmap", extraction.map)
         voxels = max(voxels, len(extraction.map.voxels))
-    seconds["extract.peak_mb"] = peak_mb()
+    measures = {**watch.seconds, "extract.peak_mb": peak_mb()}
     for k in range(size.agents):
         most_bytes = max(most_bytes, bytes_on_the_wire(load_map(folder / f"{k}.tmap")))
-    return {**seconds, "voxels": voxels, "map_bytes": most_bytes}
+    return {**measures, "voxels": voxels, "map_bytes": most_bytes}
 
 
 def merge_maps(size: Size, folder: Path) -> Measures:

@@ -26,7 +26,7 @@ def propose_from_rooms(
 ) -> list[Candidate]:
     """Propose poses of map b in map a from matched rooms, best first.
 
-    The score is the number of matches, and below one for ties: 1 / (1 + mean distance).
+    The score is the number of matches, and for ties 1 / (2 + mean distance).
 
     Returns
     -------

@@ -79,8 +79,7 @@ class PairAligner:
         else:
             found = [work(index) for index in range(len(tasks))]
         for one in watches:
-            for stage, seconds in one.seconds.items():
-                watch.seconds[stage] = watch.seconds.get(stage, 0.0) + seconds
+            watch.add(one.seconds)
         return found
 
 

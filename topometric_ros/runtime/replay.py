@@ -29,6 +29,7 @@ from topometric_ros.runtime.config import ToolConfig
 from topometric_ros.runtime.merger_session import MergerSession
 from topometric_ros.runtime.replay_output import ReplayOutput
 from topometric_ros.runtime.sources import InputOptions, bag_input
+from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import TopometricMap
 
 logger = logging.getLogger(__name__)
@@ -110,7 +111,7 @@ class _Replay:
         self._inputs = [bag_input(source, config, options) for source in sources]
         self._merger = MergerSession(config.merge, [source.agent for source in sources])
         self._progress = progress
-        self._timings: dict[str, float] = {}
+        self._watch = Stopwatch()
         self._qualities: dict[str, Quality] = {}
         self._due: dict[str, int] = {}
         self._now = 0
@@ -133,7 +134,7 @@ class _Replay:
         maps = tuple(self._merger.maps[agent.id] for agent in result.agents)
         ways = [reader.agent_input.session.trajectory for reader in self._inputs]
         known = tuple(way for way in ways if way)
-        return Replayed(result, maps, self._timings, known, self._qualities)
+        return Replayed(result, maps, self._watch.seconds, known, self._qualities)
 
     def _in_time_order(self) -> Iterator[tuple[BagMessage, BagInput]]:
         """Yield the messages of all sources; at one time the earlier source comes first."""
@@ -163,7 +164,7 @@ class _Replay:
             return dataclasses.replace(reader.map, agent=agent)
         self._progress(f"extracting {agent}")
         result = reader.agent_input.session.extract()
-        self._count(result.timings)
+        self._watch.add(result.timings)
         self._qualities[agent] = result.quality
         warnings = (*reader.warnings(), *result.map.warnings)
         return dataclasses.replace(result.map, warnings=warnings)
@@ -174,10 +175,6 @@ class _Replay:
 
     def _merge(self, output: ReplayOutput) -> MergeResult:
         result = self._merger.merge(self._progress)
-        self._count(result.timings)
+        self._watch.add(result.timings)
         output.write_result(self._merger, self._now)
         return result
-
-    def _count(self, timings: dict[str, float]) -> None:
-        for stage, seconds in timings.items():
-            self._timings[stage] = self._timings.get(stage, 0.0) + seconds
