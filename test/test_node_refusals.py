@@ -28,6 +28,7 @@ from topometric_msgs.srv import SaveMap, SetAlignment
 from topometric_ros.nodes import qos, services
 from topometric_ros.nodes.cloud_subscription import CloudSubscription
 from topometric_ros.nodes.diagnostics import Level
+from topometric_ros.nodes.extractor_report import ExtractorReport
 from topometric_ros.nodes.merger_report import InputReport, MergerReport
 from topometric_ros.nodes.merger_state import StateKeeper
 from topometric_ros.nodes.roster import Roster
@@ -120,6 +121,11 @@ def test_why_nothing_arrives_is_told_where_the_graph_shows_it(
         assert cloud.publishers == 0, "what it offers says nothing about clouds"
     right = own.node.create_publisher(PointCloud2, "cloud", 1)
     wait_for(lambda: "but nothing has arrived" in cloud.silence(), 20.0, "the right type")
+    cloud._lose(SimpleNamespace(total_count_change=4))
+    assert cloud.silence().endswith("; 4 clouds were lost on the way")
+    report = ExtractorReport()
+    assert [report.lose(n, "on the way") for n in (0, 3, 2)] == [False, True, False]
+    assert (report.lose(1, "their queue was full"), report.lost) == (True, 6), "told apart"
 
     everyone = Roster(node, {}, discover=True)
     assert "nobody publishes a `topometric_map`" in everyone.silence()

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from rclpy.event_handler import (
+    QoSMessageLostInfo,
+    SubscriptionEventCallbacks,
+    UnsupportedEventTypeError,
+)
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
@@ -22,16 +27,30 @@ class CloudSubscription:
 
     A late subscriber with transient-local durability gets the latched cloud, so looking at the
     publishers late loses nothing that is latched.
+
+    Parameters
+    ----------
+    node : the extractor
+    choice : parameter `cloud_qos`
+    receive : called with each cloud
+    whole : whether clouds are whole maps, of which the newest serves
     """
 
     def __init__(
-        self, node: TopometricNode, choice: str, receive: Callable[[PointCloud2], None]
+        self,
+        node: TopometricNode,
+        choice: str,
+        receive: Callable[[PointCloud2], None],
+        whole: bool = False,
     ) -> None:
         self._node = node
         self._choice = choice
+        self._depth = {"depth": qos.MAP_CLOUD_DEPTH} if whole else {}
+        self.lost = 0
+        """Clouds that were sent and never arrived, as far as the middleware noticed."""
         self._receive = receive
         self._topic = node.resolve_topic_name(TOPIC)
-        self._profile = qos.cloud_profile(choice, self._offers())
+        self._profile = qos.cloud_profile(choice, self._offers(), **self._depth)
         self._subscription = self._subscribe()
         if choice == "auto":
             node.every(_LOOK_PERIOD_S, self.look)
@@ -59,12 +78,13 @@ class CloudSubscription:
         types = sorted({publisher.topic_type for publisher in found})
         if _TYPE not in types:
             return f"{self._topic} is of type {', '.join(types)}, expected {_TYPE}"
-        return f"{self._topic} is published, but nothing has arrived ({self.profile})"
+        lost = f"; {self.lost} clouds were lost on the way" if self.lost else ""
+        return f"{self._topic} is published, but nothing has arrived ({self.profile}){lost}"
 
     def look(self) -> None:
         """Subscribe anew where the publishers present offer another profile."""
         offers = self._offers()
-        wanted = qos.cloud_profile(self._choice, offers)
+        wanted = qos.cloud_profile(self._choice, offers, **self._depth)
         # Publishers that come and go, as a bag player does, must not cost a subscription each time.
         if not offers or qos.same_profile(wanted, self._profile):
             return
@@ -78,6 +98,12 @@ class CloudSubscription:
 
     def _subscribe(self) -> Subscription:
         self._node.get_logger().info(f"subscribing {self._topic}: {self.profile}")
-        return self._node.create_subscription(
-            PointCloud2, self._topic, self._receive, self._profile
-        )
+        wanted = (PointCloud2, self._topic, self._receive, self._profile)
+        try:
+            callbacks = SubscriptionEventCallbacks(message_lost=self._lose)
+            return self._node.create_subscription(*wanted, event_callbacks=callbacks)
+        except UnsupportedEventTypeError:  # Not every middleware counts them.
+            return self._node.create_subscription(*wanted)
+
+    def _lose(self, event: QoSMessageLostInfo) -> None:
+        self.lost += event.total_count_change

@@ -111,7 +111,9 @@ class Extractor(TopometricNode):
         serve(self)
         if self._own.mode != "map":
             tf.listen(self, self._on_transforms)
-        self._cloud = CloudSubscription(self, self._own.cloud_qos, self._on_cloud)
+        whole = self._own.mode == "map"
+        self._cloud = CloudSubscription(self, self._own.cloud_qos, self._on_cloud, whole)
+        self._lost_before = 0
         self.every(_PACE_S, self._tick)
         self._begun = time.monotonic()
         self.every(_REPORT_S, self._look)
@@ -167,7 +169,7 @@ class Extractor(TopometricNode):
         """Take the transforms and clouds that have arrived; say once why scans found no place."""
         skipped_before, overflowed = self.input.skipped_count, self.input.overflowed
         dropped = self._take_messages(at_once) + self.input.overflowed - overflowed
-        if self.report.lose(dropped):
+        if self.report.lose(dropped, "their queue was full"):
             self.get_logger().warning(
                 f"{dropped} scans lost: no more than {self._own.scan_queue} may wait, for an "
                 "extraction or for /tf (scan_queue)"
@@ -192,11 +194,15 @@ class Extractor(TopometricNode):
         for message in self.clouds.take_all():
             self._take_cloud(message)
         # Of whole maps the latest serves; of scans none is dropped before the queue is full.
-        whole = self._own.mode == "map" or self.input.session.counts.map_clouds > 0
+        whole = self._is_whole()
         self.clouds.capacity = 1 if whole else self._own.scan_queue
         if whole:
             self.report.superseded += dropped
         return 0 if whole else dropped
+
+    def _is_whole(self) -> bool:
+        """Whether clouds are whole maps, of which the latest serves."""
+        return self._own.mode == "map" or self.input.session.counts.map_clouds > 0
 
     def _take_cloud(self, message: PointCloud2) -> None:
         try:
@@ -239,6 +245,13 @@ class Extractor(TopometricNode):
         silence = "" if self.report.received else self._cloud.silence()
         if self.report.hear(silence, self._begun):
             self.get_logger().warning(f"no cloud yet: {silence}")
+        lost, self._lost_before = self._cloud.lost - self._lost_before, self._cloud.lost
+        self.report.lost_on_the_way += lost
+        if not self._is_whole() and self.report.lose(lost, "on the way"):
+            self.get_logger().warning(
+                f"{lost} scans lost on the way ({self._cloud.profile}): is this machine or the "
+                "network too busy, or its publisher's queue too short?"
+            )
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:

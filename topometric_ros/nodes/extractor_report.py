@@ -32,6 +32,9 @@ class ExtractorReport:
     unchanged: int = 0
     superseded: int = 0
     lost: int = 0
+    loss: str = ""
+    """How scans were last lost."""
+    lost_on_the_way: int = 0
     lost_at: float = -float("inf")
     """When scans were last lost, s of the monotonic clock."""
     failure: str = ""
@@ -69,11 +72,11 @@ class ExtractorReport:
         self._silence_told = True
         return True
 
-    def lose(self, scans: int) -> bool:
-        """Count scans that were lost; return whether none had been for a while."""
-        is_new = scans > 0 and not self._loses()
+    def lose(self, scans: int, how: str) -> bool:
+        """Count scans that were lost; return whether none had been so for a while."""
+        is_new = scans > 0 and not (self._loses() and how == self.loss)
         if scans > 0:
-            self.lost += scans
+            self.lost, self.loss = self.lost + scans, how
             self.lost_at = time.monotonic()
         return is_new
 
@@ -99,7 +102,7 @@ class ExtractorReport:
         elif not self.received:
             level, message = Level.WARN, f"no cloud yet: {self.silence}"
         elif self._loses():
-            level, message = Level.WARN, f"{self.lost} scans lost: their queue was full"
+            level, message = Level.WARN, f"{self.lost} scans lost: {self.loss}"
             if numbers.get("waits for"):
                 message += f"; {numbers['waits for']}"
         elif numbers.get("waits for"):
@@ -109,6 +112,7 @@ class ExtractorReport:
             level, message = Level.WARN, f"no scan could be placed: {self.missing}"
         values = {"received": self.received, "refused": self.refused, **numbers}
         values |= {"superseded": self.superseded, "scans lost": self.lost}
+        values |= {"lost on the way": self.lost_on_the_way}
         return Status(f"{node}: input", level, message, values)
 
     def _map(self, node: str) -> Status:

@@ -6,8 +6,11 @@ from collections.abc import Iterable
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-_CLOUD_DEPTH = 10
-"""Clouds come in bursts; ten scans are what a usual scanner makes in a second."""
+_CLOUD_DEPTH = 50
+"""Clouds come in bursts, and a process may stand still: what a usual scanner makes in 5 s. The
+middleware tells of what is lost on the way, and not of what newer ones push out at its end."""
+MAP_CLOUD_DEPTH = 2
+"""Of whole maps the newest serves, and each may have many megabytes."""
 
 
 def _profile(reliable: bool, latched: bool, depth: int) -> QoSProfile:
@@ -35,7 +38,7 @@ CLOUD_RELIABLE = _profile(reliable=True, latched=False, depth=_CLOUD_DEPTH)
 CLOUD_BEST_EFFORT = _profile(reliable=False, latched=False, depth=_CLOUD_DEPTH)
 
 
-def strongest_common(offers: Iterable[QoSProfile]) -> QoSProfile:
+def strongest_common(offers: Iterable[QoSProfile], depth: int = _CLOUD_DEPTH) -> QoSProfile:
     """Return the strongest cloud profile that every one of the publishers' offers satisfies.
 
     With no publisher yet it is reliable and volatile: the profile that needs no second
@@ -43,18 +46,21 @@ def strongest_common(offers: Iterable[QoSProfile]) -> QoSProfile:
     """
     known = list(offers)
     if not known:
-        return CLOUD_RELIABLE
+        return _profile(reliable=True, latched=False, depth=depth)
     return _profile(
         reliable=all(o.reliability == ReliabilityPolicy.RELIABLE for o in known),
         latched=all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in known),
-        depth=_CLOUD_DEPTH,
+        depth=depth,
     )
 
 
-def cloud_profile(choice: str, offers: Iterable[QoSProfile]) -> QoSProfile:
+def cloud_profile(
+    choice: str, offers: Iterable[QoSProfile], depth: int = _CLOUD_DEPTH
+) -> QoSProfile:
     """Return the cloud subscription's profile for parameter `cloud_qos` = `choice`."""
-    fixed = {"reliable": CLOUD_RELIABLE, "best_effort": CLOUD_BEST_EFFORT}
-    return fixed[choice] if choice in fixed else strongest_common(offers)
+    if choice == "auto":
+        return strongest_common(offers, depth)
+    return _profile(reliable=choice == "reliable", latched=False, depth=depth)
 
 
 def same_profile(a: QoSProfile, b: QoSProfile) -> bool:
