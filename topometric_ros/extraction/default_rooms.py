@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
@@ -115,12 +116,31 @@ def segment(
         regions = storey_regions(raster, config, classifier)
         if not regions.any():
             continue
-        inside = members[voxel_of_point]
-        above_floor = heights[voxel_of_point[inside]] - level.floor
-        upright = (above_floor > _FLAT) & (above_floor < level.ceiling - level.floor - _FLAT)
-        found = label_points(
-            regions, raster.wall, places[inside] - raster.corner, upright, config.reach / RASTER
+        between = (level.floor + _FLAT, level.ceiling - _FLAT)
+        inside, at, upright = _points_of(
+            members, voxel_of_point, heights, places, raster.corner, between
         )
+        found = label_points(regions, raster.wall, at, upright, config.reach / RASTER)
         labels[inside] = np.where(found > 0, found - 1 + count, -1)
         count += int(regions.max())
     return labels
+
+
+@njit(cache=True, nogil=True)
+def _points_of(members, voxel_of_point, heights, places, corner, between):  # type: ignore[no-untyped-def]
+    """Rows of the points of a storey's voxels (K,), their places in its raster, and which of them
+    lie in voxels whose height is between the two."""
+    count = 0
+    for voxel in voxel_of_point:
+        count += members[voxel]
+    rows = np.empty(count, np.int64)
+    at = np.empty((count, 2))
+    upright = np.empty(count, np.bool_)
+    k = 0
+    for p, voxel in enumerate(voxel_of_point):
+        if members[voxel]:
+            rows[k] = p
+            at[k, 0], at[k, 1] = places[p, 0] - corner[0], places[p, 1] - corner[1]
+            upright[k] = between[0] < heights[voxel] < between[1]
+            k += 1
+    return rows, at, upright

@@ -7,6 +7,7 @@ both are looked at before anything else. Clouds of ordinary size near their orig
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
@@ -105,9 +106,8 @@ def without_islands(
     shape = np.floor((high - low) / _ISLAND_TILE).astype(np.int64) + 1
     if shape.max() == 1:
         return points, ()
-    tile = np.floor((points - low) / _ISLAND_TILE).astype(np.int64)
-    flat = (tile[:, 0] * shape[1] + tile[:, 1]) * shape[2] + tile[:, 2]
-    counts = np.bincount(flat, minlength=int(shape.prod())).reshape(tuple(shape))
+    flat, counts = _tiles(points, low, shape)
+    counts = counts.reshape(tuple(shape))
     labels, number = ndimage.label(counts, np.ones((3, 3, 3), bool))
     if number == 1:
         return points, ()
@@ -118,6 +118,21 @@ def without_islands(
     if dropped > _ISLAND_SHARE * len(points) or max(x * y, z) < _TWICE_AS_LARGE:
         return points, ()
     return points[kept], (_strays(dropped, len(points)),)
+
+
+@njit(cache=True, nogil=True)
+def _tiles(points, low, shape):  # type: ignore[no-untyped-def]
+    """Flat tile of each point (P,), tiles of 10 m from `low` on, and how many each holds."""
+    flat = np.empty(len(points), np.int64)
+    counts = np.zeros(shape[0] * shape[1] * shape[2], np.int64)
+    for p in range(len(points)):
+        tile = np.int64(0)
+        for axis in range(3):
+            tile *= shape[axis]
+            tile += np.int64(np.floor((points[p, axis] - low[axis]) / _ISLAND_TILE))
+        flat[p] = tile
+        counts[tile] += 1
+    return flat, counts
 
 
 def anchor(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,9 +23,6 @@ from topometric_ros.voxels.kernels import ball
 _LATTICE = 0.5
 """Places for further viewpoints lie so far apart in x and y, m."""
 
-_USUAL_DISTANCE = 50
-"""Cells that few maps exceed: a disk of so many is made in a tenth of the time."""
-
 _LARGEST_DISTANCE = 200
 """Cells at which the distance field saturates: 20 m at 0.1 m, wider than any room's middle."""
 
@@ -108,12 +105,11 @@ def horizontal_distance_field(
     if len(navigable) == 0:
         return np.zeros(0, np.int32)
     index = VoxelIndex(navigable) if index is None else index
+    # A disk larger than the whole volume, in extent or in cells, is not full.
     widest = int(np.ptp(navigable[:, :2], axis=0).max()) + 2
-    for radius in (min(widest, _USUAL_DISTANCE), min(widest, _LARGEST_DISTANCE)):
-        distance: NDArray[np.int32] = _distances(index.table, navigable, *_disk(radius), step)
-        if distance.max() < radius:
-            break
-    return distance
+    most = int(math.sqrt(len(navigable) / math.pi)) + 3
+    disk, inner, square = _disk(min(widest, most, _LARGEST_DISTANCE))
+    return _distances(index.table, navigable, disk, inner, square, step)
 
 
 def _disk(
@@ -127,8 +123,8 @@ def _disk(
     line = np.arange(-radius, radius + 1)
     x, y = (g.ravel() for g in np.meshgrid(line, line, indexing="ij"))
     square = x * x + y * y
-    order = np.lexsort((y, x, square))
-    order = order[square[order] <= radius * radius]
+    order = np.flatnonzero(square <= radius * radius)
+    order = order[np.argsort(square[order], kind="stable")]
     x, y, square = x[order], y[order], square[order]
     larger = np.maximum(np.maximum(np.abs(x), np.abs(y)), 1)
 
