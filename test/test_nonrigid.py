@@ -12,6 +12,7 @@ from test.helpers_matching import A_ROOMS, B_ROOMS, T_A_B, T_BUILDING_A, T_BUILD
 from topometric_ros.fusion.fuse import FuseConfig, fuse
 from topometric_ros.fusion.nonrigid import NonRigidConfig, bends, gap
 from topometric_ros.fusion.poses import apply
+from topometric_ros.fusion.smooth_bend import net_of, smooth_states
 from topometric_ros.fusion.surface import surface_of
 from topometric_ros.topometric_map import TopometricMap
 
@@ -39,6 +40,34 @@ def test_rooms_of_a_drifted_map_move_onto_the_others(monkeypatch: pytest.MonkeyP
     thick = fuse([a, b], [np.eye(4), T_A_B], FuseConfig()).map
     thin = fuse([a, b], [np.eye(4), T_A_B], config).map
     assert len(thin.voxels) < 0.95 * len(thick.voxels)
+
+
+def test_drift_within_a_room_is_bent_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A room that swells is no rigid part; the nodes of the smooth bend take it."""
+    a = agent_map("a", (2,), T_BUILDING_A, noise=0.005)
+    whole = helpers_matching.room_points
+
+    def swollen(number: int) -> np.ndarray:
+        points = whole(number)
+        return points + 0.03 * (points - points.mean(axis=0)) * (1.0, 1.0, 0.0)
+
+    monkeypatch.setattr(helpers_matching, "room_points", swollen)
+    b = agent_map("b", (2,), T_BUILDING_B, noise=0.005, seed=1)
+    nets = []
+    for m, T in ((a, np.eye(4)), (b, T_A_B)):
+        surface = surface_of(m)
+        floor = apply(T, np.asarray(m.origin) + m.navigable * m.voxel_size)
+        there, normals = apply(T, surface.points), surface.normals @ T[:3, :3].T
+        nets.append(net_of(surface, there, normals, floor, 1.2))
+    states = smooth_states(nets, drift=0.03, yaw_drift=np.radians(0.3))
+    surfaces = [surface_of(a), surface_of(b)]
+    before = gap(surfaces, [net.points for net in nets])
+    bent = [net.moved(state) for net, state in zip(nets, states, strict=True)]
+    assert before > 0.03
+    assert gap(surfaces, bent) < 0.5 * before
+    # A point of its own goes as the surface next to it.
+    carried = nets[1].carried(nets[1].points[:5], states[1])
+    np.testing.assert_allclose(carried, bent[1][:5], atol=1e-12)
 
 
 def test_maps_without_drift_stay_as_they_are() -> None:

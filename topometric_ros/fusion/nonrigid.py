@@ -1,16 +1,17 @@
-"""Non-rigid fusion: each room gets a small transform of its own, so that no wall is doubled.
+"""Non-rigid fusion: drifted maps are bent onto each other, so that no wall is doubled.
 
 A pose graph of rooms, long ones cut into parts. Parts of one agent's map that touch or that a
 passage joins hang together as tightly as odometry is good, which falls with the root of the way;
 parts of two agents that show the same place are tied by registering one on the other's map. What
-comes out is taken only where it brings the agents' surfaces closer together by enough: a map
-without drift stays as it is.
+drift is left within the parts a smooth bend takes (`fusion.smooth_bend`). What comes out is taken
+only where it brings the agents' surfaces closer together by enough: a map without drift stays as it
+is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from topometric_ros.fusion.registration import (
     RegistrationError,
     register,
 )
+from topometric_ros.fusion.smooth_bend import Net, net_of, smooth_states
 from topometric_ros.fusion.surface import Surface, surface_of
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 
@@ -40,15 +42,13 @@ def _registration() -> RegistrationConfig:
 class NonRigidConfig:
     """How far rooms may shift within an agent's map."""
 
-    enabled: bool = parameter(
-        False, "Give each room a small transform of its own where agents' maps have drifted."
-    )
+    enabled: bool = parameter(False, "Bend agents' maps onto each other where they have drifted.")
     drift: float = parameter(
-        0.03, "Standard deviation of the drift over the first metre between two rooms; it grows "
+        0.03, "Standard deviation of the drift over the first metre of an agent's way; it grows "
         "with the root of the way.", unit="m", minimum=0.0001, maximum=1.0,
     )  # fmt: skip
     yaw_drift: float = parameter(
-        0.3, "Standard deviation of the heading's drift over the first metre between two rooms; it "
+        0.3, "Standard deviation of the heading's drift over the first metre of the way; it "
         "grows with the root of the way.", unit="deg", minimum=0.001, maximum=10.0,
     )  # fmt: skip
     part: float = parameter(
@@ -66,6 +66,10 @@ class NonRigidConfig:
         1.0, "A part that registration moves farther than this is not tied.", unit="m",
         minimum=0.0, maximum=10.0,
     )  # fmt: skip
+    node: float = parameter(
+        1.2, "Distance of the nodes of the smooth bend that follows; 0: parts move, nothing bends.",
+        unit="m", minimum=0.0, maximum=10.0,
+    )  # fmt: skip
     gain: float = parameter(
         0.05, "Share by which the gap between the agents' surfaces must shrink.", minimum=0.0,
         maximum=1.0,
@@ -75,20 +79,26 @@ class NonRigidConfig:
 
 @dataclass(frozen=True)
 class Bend:
-    """Where each part of one agent's map goes: level frame to the global level frame."""
+    """Where each part of one agent's map goes: level frame to the global level frame.
+
+    `transforms` (R, 4, 4) are of the parts, `owner` says which is that of each of the tree's points
+    (level frame). `net` bends what the parts have placed further, by the `state` of its nodes.
+    """
 
     transforms: NDArray[np.float64]
-    """(R, 4, 4): of each part that moves on its own."""
     tree: cKDTree
-    """Of points of these parts, level frame."""
     owner: NDArray[np.int64]
-    """Row in `transforms` of each of the tree's points."""
+    net: Net | None = None
+    state: NDArray[np.float64] | None = None
 
     def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where points (N, 3), m, go, each with the part that is nearest to it."""
         row = self.owner[self.tree.query(points)[1]]
         T = self.transforms[row]
-        return np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
+        there = np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
+        if self.net is None or self.state is None:
+            return there
+        return self.net.carried(there, self.state)
 
 
 @dataclass(frozen=True)
@@ -131,8 +141,42 @@ def bends(placed: Sequence[Placed], config: NonRigidConfig) -> list[Bend] | None
     poses = optimised(start, [*odometry, *kept], middles)
     found = [_bend(m, own, poses) for (m, _), own in zip(placed, parts, strict=True)]
     before = gap(surfaces, [apply(T, s.points) for (_, T), s in zip(placed, surfaces, strict=True)])
-    after = gap(surfaces, [b.apply(s.points) for b, s in zip(found, surfaces, strict=True)])
-    return found if after <= (1.0 - config.gain) * before else None
+    most = (1.0 - config.gain) * before
+    if _gap_of(found, surfaces) > most:
+        found = [_rigid(m, T) for m, T in placed]
+    if config.node > 0.0:
+        found = _smoothed(found, placed, surfaces, config)
+    return found if _gap_of(found, surfaces) <= most else None
+
+
+def _gap_of(found: Sequence[Bend], surfaces: Sequence[Surface]) -> float:
+    return gap(surfaces, [b.apply(s.points) for b, s in zip(found, surfaces, strict=True)])
+
+
+def _rigid(m: TopometricMap, T: Transform) -> Bend:
+    """Return what bends nothing."""
+    return Bend(T[None], cKDTree(m.surface()[:1]), np.zeros(1, np.int64))
+
+
+def _smoothed(
+    found: Sequence[Bend],
+    placed: Sequence[Placed],
+    surfaces: Sequence[Surface],
+    config: NonRigidConfig,
+) -> list[Bend]:
+    """Return bends that go on smoothly where parts were placed."""
+    nets = []
+    for bend, (m, T), surface in zip(found, placed, surfaces, strict=True):
+        floor = bend.apply(np.asarray(m.origin) + m.navigable * m.voxel_size)
+        there, normals = bend.apply(surface.points), surface.normals @ T[:3, :3].T
+        if len(floor) == 0:
+            return list(found)
+        nets.append(net_of(surface, there, normals, floor, config.node))
+    states = smooth_states(nets, config.drift, float(np.radians(config.yaw_drift)))
+    return [
+        replace(bend, net=net, state=state)
+        for bend, net, state in zip(found, nets, states, strict=True)
+    ]
 
 
 def gap(surfaces: Sequence[Surface], there: Sequence[NDArray[np.float64]]) -> float:
@@ -223,10 +267,6 @@ def _odometry(
             way = float(np.linalg.norm(own.middles[[i, j]] - at, axis=1).sum())
             links.setdefault(pair, Link(*pair, np.eye(4), _of_way(max(way, 1.0), at, config)))
     return list(links.values())
-
-
-def _nearest(middles: NDArray[np.float64], rows: NDArray[np.int64], at: NDArray[np.float64]) -> int:
-    return int(rows[np.argmin(np.linalg.norm(middles[rows] - at, axis=1))])
 
 
 def _of_way(way: float, at: NDArray[np.float64], config: NonRigidConfig) -> NDArray[np.float64]:
