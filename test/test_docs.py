@@ -40,6 +40,12 @@ def test_every_file_that_a_document_names_exists(document):
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_no_document_holds_the_marks_of_a_conflict(document):
+    text = document.read_text(encoding="utf-8")
+    assert not re.findall(r"(?m)^(?:<{7}|={7}|>{7})", text)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_link_to_a_heading_finds_it(document):
     links = TO_HEADING.findall(document.read_text(encoding="utf-8"))
     missing = [
