@@ -19,7 +19,7 @@ INTERFACES = ROOT / "msg_schemas" / "topometric_msgs"
 LONGEST_FILE = 350
 
 LAYERS = (
-    {"errors", "configuration", "stopwatch", "topometric_map", "alignment"},
+    {"errors", "configuration", "stopwatch", "map_checks", "topometric_map", "alignment"},
     {"voxels"},
     {"extraction"},
     {"matching"},
