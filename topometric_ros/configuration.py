@@ -151,6 +151,11 @@ def parameter(
     )
 
 
+def missing_extra(needed_by: str, module: str, extra: str) -> ConfigurationError:
+    """Return the error that says which extra of the package brings a module that is missing."""
+    return ConfigurationError(f"{needed_by} needs {module}: pip install 'topometric_ros[{extra}]'")
+
+
 def needs_extras(needed: Mapping[str, tuple[str, str]]) -> Callable[[Any], None]:
     """Return a rule for choices that need more than what is always installed.
 
@@ -165,9 +170,7 @@ def needs_extras(needed: Mapping[str, tuple[str, str]]) -> Callable[[Any], None]
         for choice in value if isinstance(value, tuple) else (value,):
             module, extra = needed.get(choice, ("", ""))
             if module and importlib.util.find_spec(module) is None:
-                raise ConfigurationError(
-                    f"{choice} needs {module}: pip install 'topometric_ros[{extra}]'"
-                )
+                raise missing_extra(choice, module, extra)
 
     return rule
 

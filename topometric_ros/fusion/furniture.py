@@ -111,7 +111,7 @@ def compare_furniture(
     """
     of_a, of_b = furniture_of(*a), furniture_of(*b)
     ways = (laid_on(of_a, of_b, T_a_b), laid_on(of_b, of_a, inverse(T_a_b)))
-    # Most pieces were seen by both, so each is counted twice.
+    # Most pieces were seen by both, so each is counted twice; halves speak against both findings.
     return Pieces(
         fixed=math.ceil(sum(way.fixed for way in ways) / 2),
         kept=sum(way.kept for way in ways) // 2,

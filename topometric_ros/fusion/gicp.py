@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from topometric_ros.errors import ConfigurationError
+from topometric_ros.configuration import missing_extra
 from topometric_ros.fusion.icp import ALL, gates_of, measured, shared_part
 from topometric_ros.fusion.poses import Transform
 from topometric_ros.fusion.registration_config import Registration, RegistrationConfig
@@ -66,7 +66,5 @@ def _library() -> Any:
     try:
         import small_gicp
     except ImportError as error:
-        raise ConfigurationError(
-            "registration.method: gicp needs small_gicp: pip install 'topometric_ros[gicp]'"
-        ) from error
+        raise missing_extra("registration.method: gicp", "small_gicp", "gicp") from error
     return small_gicp

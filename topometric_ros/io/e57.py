@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.io.pointcloud2 import CloudError
+from topometric_ros.io.pointcloud2 import CloudError, missing_reader
 
 _MOST_POINTS_A_BYTE = 8
 """A scan that claims more points than this for each byte of its file is damaged or hostile."""
@@ -33,9 +33,7 @@ def read_e57_points(path: Path) -> NDArray[np.float64]:
         import pye57
         from pye57.libe57 import E57Exception
     except ImportError as error:
-        raise CloudError(
-            f'{path}: reading E57 files needs an extra: pip install "pye57"'
-        ) from error
+        raise missing_reader(path, "E57", "pye57") from error
     try:
         with pye57.E57(str(path)) as file:
             scans = [_scan(path, file, index) for index in range(file.scan_count)]

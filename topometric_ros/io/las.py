@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.io.pointcloud2 import CloudError
+from topometric_ros.io.pointcloud2 import CloudError, missing_reader
 
+_PACKAGE = "laspy[lazrs]"
 _SHORTEST_HEADER = 227
 _RECORD_HEADER = 54
 _SHORTEST_POINT = 20
@@ -30,9 +31,7 @@ def read_las_points(path: Path) -> NDArray[np.float64]:
     try:
         import laspy
     except ImportError as error:
-        raise CloudError(
-            f'{path}: reading LAS files needs an extra: pip install "laspy[lazrs]"'
-        ) from error
+        raise missing_reader(path, "LAS", _PACKAGE) from error
     _check_header(path)
     failures: tuple[type[BaseException], ...] = (laspy.errors.LaspyException, ValueError, EOFError)
     try:
@@ -41,9 +40,7 @@ def read_las_points(path: Path) -> NDArray[np.float64]:
         failures += (lazrs.LazrsError,)
     except ImportError:
         if path.suffix.lower() == ".laz":
-            raise CloudError(
-                f'{path}: reading LAZ files needs an extra: pip install "laspy[lazrs]"'
-            ) from None
+            raise missing_reader(path, "LAZ", _PACKAGE) from None
     try:
         with laspy.open(path) as file:
             header = file.header

@@ -7,6 +7,7 @@ guessed: a cloud whose sizes contradict each other is refused with what was expe
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,6 +22,11 @@ _FLOATS = {7: "f4", 8: "f8"}
 
 class CloudError(TopometricError):
     """A point cloud that cannot be read or that holds nothing to use."""
+
+
+def missing_reader(path: Path, kind: str, package: str) -> CloudError:
+    """Return the error that says which package reads a kind of file."""
+    return CloudError(f'{path}: reading {kind} files needs an extra: pip install "{package}"')
 
 
 class PointField(Protocol):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.errors import ConfigurationError
+from topometric_ros.configuration import missing_extra
 
 Network = Callable[[Mapping[str, NDArray[np.float32]]], list[NDArray[np.float32]]]
 """Named inputs in, outputs in the order of the file out."""
@@ -32,9 +32,7 @@ def onnx_network(path: Path, needed_by: str) -> Network:
     try:
         import onnxruntime
     except ImportError as error:
-        raise ConfigurationError(
-            f"{needed_by} needs onnxruntime: pip install 'topometric_ros[learned]'"
-        ) from error
+        raise missing_extra(needed_by, "onnxruntime", "learned") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3

@@ -8,18 +8,15 @@ from pathlib import PurePath
 
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.runtime.agents_file import agent_of_namespace
+from topometric_ros.runtime.bag_sources import AGENT_NAME, NAME_EXPECTED
 
-_AGENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 def check_agent(agent: str) -> None:
     """Raise ConfigurationError for a name that no agent can have; the command's are the same."""
-    if not _AGENT.fullmatch(agent):
-        raise ConfigurationError(
-            f"agent: expected letters, digits, '_', '-' and '.', the last two not first, "
-            f"got {agent!r}"
-        )
+    if not AGENT_NAME.fullmatch(agent):
+        raise ConfigurationError(f"agent: {NAME_EXPECTED}, got {agent!r}")
 
 
 def is_map_file(place: str) -> bool:
@@ -49,7 +46,7 @@ def parse_agents(entries: Sequence[str]) -> dict[str, str]:
         name = PurePath(before).stem if is_map_file(before) else agent_of_namespace(namespace)
         agent = before if separator else name
         possible = is_map_file(namespace) or _NAMESPACE.fullmatch(namespace)
-        if not (_AGENT.fullmatch(agent) and possible):
+        if not (AGENT_NAME.fullmatch(agent) and possible):
             raise ConfigurationError(f"expected a namespace or id=namespace, got {entry!r}")
         if agent in agents or namespace in agents.values():
             raise ConfigurationError(f"{entry!r} names an agent twice")

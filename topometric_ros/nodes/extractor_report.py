@@ -8,10 +8,8 @@ from dataclasses import dataclass
 
 from topometric_ros.extraction.quality import Quality
 from topometric_ros.nodes.diagnostics import Level, Status
+from topometric_ros.nodes.running import SILENT_S
 from topometric_ros.topometric_map import TopometricMap
-
-_SILENT_S = 10.0
-"""How long after the start it is no wonder that nothing has arrived."""
 
 _LOST_TOLD_S = 60.0
 """How long scans that were lost stay a warning."""
@@ -67,7 +65,7 @@ class ExtractorReport:
         """
         self.silence = "" if self.received else silence
         due = bool(self.silence) and not self._silence_told
-        if not due or time.monotonic() - since < _SILENT_S:
+        if not due or time.monotonic() - since < SILENT_S:
             return False
         self._silence_told = True
         return True

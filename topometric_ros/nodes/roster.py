@@ -17,14 +17,12 @@ from topometric_ros.errors import ConfigurationError
 from topometric_ros.nodes import qos
 from topometric_ros.nodes.agent_names import is_map_file
 from topometric_ros.nodes.merger_report import InputReport
-from topometric_ros.nodes.running import TopometricNode
+from topometric_ros.nodes.running import SILENT_S, TopometricNode
 from topometric_ros.nodes.worker import Inbox
 from topometric_ros.runtime.agents_file import agent_of_namespace
 
 TOPIC = "topometric_map"
 _TYPE = "topometric_msgs/msg/TopometricMap"
-_SILENT_S = 10.0
-"""How long after the start it is no wonder that nobody publishes a map."""
 _LEASE_S = 30.0
 """For how long one that was killed may still count as a publisher: 20 s with Fast DDS."""
 _MOST = 64
@@ -95,7 +93,7 @@ class Roster:
             if report.publishers:
                 self._last_seen[agent] = time.monotonic()
             self._look_for_rivals(agent, report)
-        if self._began is not None and time.monotonic() - self._began > _SILENT_S:
+        if self._began is not None and time.monotonic() - self._began > SILENT_S:
             self._began = None
             if silence := self.silence():
                 self._node.get_logger().warning(silence)

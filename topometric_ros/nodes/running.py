@@ -30,8 +30,8 @@ BAD_INPUT = 2
 END_S = 3.0
 """How long a process that is told to end waits for what is being computed."""
 
-_SILENT_S = 10.0
-"""How long after the start it is no wonder that no time has come."""
+SILENT_S = 10.0
+"""How long after the start it is no wonder that no time, no cloud and no map has come."""
 _LOOK_S = 0.5
 _CALLBACKS_S = 2.0
 
@@ -81,7 +81,7 @@ class TopometricNode(Node):
         """Begin to listen, to work and to answer; subscribing brings what others have latched."""
         self._listening_before = frozenset(self._listening())
         self._begin()
-        self._clock_look = self.every(_SILENT_S, self._look_at_clock)
+        self._clock_look = self.every(SILENT_S, self._look_at_clock)
         self._active = True
 
     def deactivate(self, limit_s: float = END_S) -> bool:

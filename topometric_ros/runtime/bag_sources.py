@@ -18,8 +18,11 @@ from topometric_ros.io.bags import Bag, TopicInfo, split_source
 
 logger = logging.getLogger(__name__)
 
-_AGENT = r"[A-Za-z0-9_][A-Za-z0-9_.-]*"
-_NAMED = re.compile(rf"^({_AGENT})=(.+)$", re.DOTALL)
+AGENT_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+"""What an agent may be called, here and in the nodes."""
+
+NAME_EXPECTED = "expected letters, digits, '_', '-' and '.', the last two not first"
+_NAMED = re.compile(rf"^({AGENT_NAME.pattern})=(.+)$", re.DOTALL)
 _OUR_OUTPUTS = ("rooms", "global_cloud", "global_map")
 """Topics that extractors and mergers publish for people, which are nobody's input."""
 
@@ -81,10 +84,8 @@ def parse_source(text: str) -> Source:
 
 def require_name(agent: str) -> str:
     """Return an agent's name; raises SourceError where it is none."""
-    if not re.fullmatch(_AGENT, agent):
-        raise SourceError(
-            f"agent {agent!r}: expected letters, digits, '_', '-' and '.', the last two not first"
-        )
+    if not AGENT_NAME.fullmatch(agent):
+        raise SourceError(f"agent {agent!r}: {NAME_EXPECTED}")
     return agent
 
 
