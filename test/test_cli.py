@@ -308,11 +308,15 @@ def test_a_wrong_agents_file_ends_with_status_2(
 def test_run_tells_its_nodes_what_the_launch_file_tells_them(tmp_path: Path) -> None:
     (tmp_path / "agents.yaml").write_text("agents: [{id: a}]\n")
     (tmp_path / "params.yaml").write_text("/**: {ros__parameters: {voxel_size: 0.2}}\n")
-    say = "import os, sys; print(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'], *sys.argv[1:])"
+    say = (  # in one write: both nodes share this pipe
+        "import os, sys\n"
+        "told = [os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'], *sys.argv[1:]]\n"
+        "os.write(1, (' '.join(told) + os.linesep).encode())"
+    )
     script = (
         "import sys\n"
         "from topometric_ros.cli import run\n"
-        f"run._executable = lambda name: [sys.executable, '-uc', {say!r}, name]\n"
+        f"run._executable = lambda name: [sys.executable, '-c', {say!r}, name]\n"
         "from topometric_ros.cli.main import main\n"
         "sys.exit(main(['run', *sys.argv[1:]]))\n"
     )
