@@ -74,6 +74,15 @@ def test_registering_positions_finds_yaw_and_translation() -> None:
     assert error < 1e-12
 
 
+def test_positions_without_weight_do_not_count() -> None:
+    target = moved(CENTROIDS, CHAIN_YAW)
+    target[0] += 5.0
+    weights = np.ones(len(CENTROIDS))
+    weights[0] = 0.0
+    T, _ = register_positions(target, CENTROIDS, weights)
+    np.testing.assert_allclose(T, CHAIN_YAW, atol=1e-12)
+
+
 def test_one_position_gives_a_translation_and_no_turn() -> None:
     T, _ = register_positions(np.array([[1.0, 2.0, 3.0]]), np.array([[0.0, 0.0, 1.0]]))
     np.testing.assert_array_equal(T, yaw_transform(0.0, (1.0, 2.0, 2.0)))

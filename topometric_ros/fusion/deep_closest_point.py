@@ -3,9 +3,10 @@
 The network (Wang & Solomon 2019, made small; `training/` holds how it was trained) sees some points
 of both surfaces with their normals and gives each source point a place in the target and a weight.
 The draft finds that "constraining the registration is difficult as it requires retraining": here
-the SVD is outside the network and turns about z only. It is trained for rooms that start within 30°
-and 1 m of each other, farther than ICP's gates reach. A network cannot tell where it is wrong:
-of the start and its answers the pose is taken that brings the most points onto the target.
+the SVD is outside the network and turns about z only, where it has a closed form. It is trained for
+rooms that start within 30° and 1 m of each other, farther than ICP's gates reach. A network cannot
+tell where it is wrong: of the start and its answers the pose is taken that brings the most points
+onto the target.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from topometric_ros.fusion.icp import gravity_icp
-from topometric_ros.fusion.poses import Transform, apply, yaw_pose
+from topometric_ros.fusion.poses import Transform, apply
 from topometric_ros.fusion.registration_config import (
     Registration,
     RegistrationConfig,
     RegistrationError,
 )
 from topometric_ros.fusion.surface import Surface
+from topometric_ros.matching.hypotheses import register_positions
 from topometric_ros.matching.onnx_network import onnx_network
 
 MODEL = Path(__file__).with_suffix(".onnx")
@@ -33,6 +35,9 @@ _POINTS = 384
 
 _ON = 0.4
 """A source point farther than this from the target does not lie on it, m."""
+
+_LEAST_SURE = 1e-9
+"""What is added to every weight: where the network trusts no counterpart all weigh alike."""
 
 _ROUNDS = 3
 """So many times the network looks, each time from where the last transform brought the source."""
@@ -86,35 +91,9 @@ def network_poses(
         here = _numbers(source, poses[-1], middle)
         counterparts, weights = network({"source": here, "target": there})
         places = counterparts[0].astype(np.float64) + middle
-        poses.append(level_fit(source.points, places, weights[0].astype(np.float64)))
+        sure = weights[0].astype(np.float64) + _LEAST_SURE
+        poses.append(register_positions(places, source.points, sure)[0])
     return poses[1:]
-
-
-def level_fit(
-    source: NDArray[np.float64], target: NDArray[np.float64], weights: NDArray[np.float64]
-) -> Transform:
-    """Return the yaw and translation that bring points onto their counterparts, by SVD.
-
-    Parameters
-    ----------
-    source, target : (n, 3) m; weights : (n,), not negative
-
-    Examples
-    --------
-    >>> points = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 1.0], [2.0, 1.0, 0.0]])
-    >>> T = yaw_pose(0.5, (1.0, 2.0, 3.0))
-    >>> bool(np.allclose(level_fit(points, apply(T, points), np.ones(3)), T))
-    True
-    """
-    share = weights / max(float(weights.sum()), 1e-12)
-    middle, there = share @ source, share @ target
-    across = (source - middle)[:, :2].T @ (share[:, None] * (target - there)[:, :2])
-    U, _, Vt = np.linalg.svd(across)
-    flip = np.diag([1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
-    R = Vt.T @ flip @ U.T
-    T = yaw_pose(float(np.arctan2(R[1, 0], R[0, 0])), (0.0, 0.0, 0.0))
-    T[:3, 3] = there - T[:3, :3] @ middle
-    return T
 
 
 def _held(source: Surface, target: Surface, tree: cKDTree, T: Transform, seed: int) -> float:

@@ -28,6 +28,7 @@ from topometric_ros.fusion.registration import (
 )
 from topometric_ros.fusion.smooth_bend import Net, net_of, smooth_states
 from topometric_ros.fusion.surface import Surface, surface_of
+from topometric_ros.matching.hypotheses import register_positions
 from topometric_ros.topometric_map import NO_ROOM, TopometricMap
 
 Placed = tuple[TopometricMap, Transform]
@@ -140,13 +141,15 @@ def bends(placed: Sequence[Placed], config: NonRigidConfig) -> list[Bend] | None
     kept = [link for link in ties if misfit(link, poses, middles).gap <= limit]
     poses = optimised(start, [*odometry, *kept], middles)
     found = [_bend(m, own, poses) for (m, _), own in zip(placed, parts, strict=True)]
-    before = gap(surfaces, [apply(T, s.points) for (_, T), s in zip(placed, surfaces, strict=True)])
+    rigid = [_rigid(m, T) for m, T in placed]
+    before, reached = _gap_of(rigid, surfaces), _gap_of(found, surfaces)
     most = (1.0 - config.gain) * before
-    if _gap_of(found, surfaces) > most:
-        found = [_rigid(m, T) for m, T in placed]
+    if reached > most:
+        found, reached = rigid, before
     if config.node > 0.0:
         found = _smoothed(found, placed, surfaces, config)
-    return found if _gap_of(found, surfaces) <= most else None
+        reached = _gap_of(found, surfaces)
+    return found if reached <= most else None
 
 
 def _gap_of(found: Sequence[Bend], surfaces: Sequence[Surface]) -> float:
@@ -209,12 +212,8 @@ def gap(surfaces: Sequence[Surface], there: Sequence[NDArray[np.float64]]) -> fl
 
 def _normals_there(surface: Surface, there: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return normals turned as the whole cloud was: by the yaw that fits best."""
-    p = surface.points - surface.points.mean(axis=0)
-    q = there - there.mean(axis=0)
-    sine = float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
-    yaw = np.arctan2(sine, float(np.sum(p[:, :2] * q[:, :2])))
-    c, s = np.cos(yaw), np.sin(yaw)
-    return surface.normals @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    T, _ = register_positions(there, surface.points)
+    return surface.normals @ T[:3, :3].T
 
 
 def _parts(m: TopometricMap, first: int, config: NonRigidConfig) -> _Parts:

@@ -41,24 +41,29 @@ class Hypothesis:
 
 
 def register_positions(
-    target: NDArray[np.float64], source: NDArray[np.float64]
+    target: NDArray[np.float64],
+    source: NDArray[np.float64],
+    weights: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], float]:
     """Return the least-squares turn about z and translation, and the mean distance left.
 
     Parameters
     ----------
     target, source : (n, 3) float64, m, n ≥ 1, corresponding positions
+    weights : (n,), not negative and not all 0; None: all weigh alike
 
     Returns
     -------
     T_target_source : (4, 4) float64; no turn where all positions of one side coincide
     error : mean distance of the moved positions to their counterparts, m
     """
-    middle_target, middle_source = target.mean(axis=0), source.mean(axis=0)
+    middle_target = np.average(target, axis=0, weights=weights)
+    middle_source = np.average(source, axis=0, weights=weights)
     p, q = target - middle_target, source - middle_source
+    share = 1.0 if weights is None else weights
     # The yaw that maximises Σ pᵀ R q over rotations about z: Horn 1987 in the plane.
-    cosine = float(np.sum(p[:, 0] * q[:, 0] + p[:, 1] * q[:, 1]))
-    sine = float(np.sum(p[:, 1] * q[:, 0] - p[:, 0] * q[:, 1]))
+    cosine = float(np.sum(share * (p[:, 0] * q[:, 0] + p[:, 1] * q[:, 1])))
+    sine = float(np.sum(share * (p[:, 1] * q[:, 0] - p[:, 0] * q[:, 1])))
     T = np.eye(4)
     length = np.hypot(cosine, sine)
     if length > 1e-12:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.matching.hypotheses import register_positions
 from topometric_ros.simulation.agents import rotation, translation
 from topometric_ros.simulation.labelled import LabelledBuilding
 
@@ -114,15 +115,8 @@ def drifted(
         about = slip @ translation(*at) @ turned @ translation(*-at)
         believed.append(about @ believed[-1] @ step)
     result = np.array(believed)
-    return _level_fit(result[:, :3, 3], poses[:, :3, 3]) @ result
-
-
-def _level_fit(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the yaw and translation that best move `source` (N, 3) onto `target`: (4, 4)."""
-    a, b = source.mean(axis=0), target.mean(axis=0)
-    p, q = (source - a)[:, :2], (target - b)[:, :2]
-    yaw = np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p * q))
-    return translation(*b) @ rotation(0.0, 0.0, float(yaw)) @ translation(*-a)
+    back, _ = register_positions(poses[:, :3, 3], result[:, :3, 3])
+    return back @ result
 
 
 def furniture_pieces(building: LabelledBuilding) -> int:
