@@ -7,7 +7,7 @@ import pytest
 
 from test.helpers import box_room
 from topometric_ros.extraction.errors import ExtractionError
-from topometric_ros.extraction.extent import anchor, without_strays
+from topometric_ros.extraction.extent import anchor, far_findings, without_strays
 from topometric_ros.voxels.scan_grid import ScanConfig, ScanGrid
 
 _ROOM = box_room((0, 0, 0), (5, 4, 2.6), step=0.1)
@@ -36,6 +36,19 @@ def test_other_units_are_named(scale: float, unit: str) -> None:
 def test_two_buildings_ten_kilometres_apart_are_refused() -> None:
     with pytest.raises(ExtractionError, match="10005 m x 10004 m"):
         without_strays(np.concatenate([_ROOM, _ROOM + (10_000, 10_000, 0)]))
+
+
+def test_coordinates_that_are_lengths_in_no_unit_are_refused() -> None:
+    with pytest.raises(ExtractionError, match=r"in metres, got some of 5e\+300"):
+        without_strays(_ROOM * 1e300)
+
+
+def test_projected_coordinates_in_single_precision_are_told() -> None:
+    place = np.array([500_000.0, 5_400_000.0, 0.0])
+    codes = [[f.code for f in far_findings(p, anchor(p))] for p in (_ROOM, _ROOM + place)]
+    assert codes == [[], ["far_frame"]]
+    coarse = (_ROOM + place).astype(np.float32).astype(np.float64)
+    assert "up to 0.5 m apart; write them as doubles" in str(far_findings(coarse, place)[0])
 
 
 def test_far_clouds_are_anchored_at_whole_kilometres() -> None:

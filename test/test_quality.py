@@ -90,6 +90,14 @@ def test_a_sparse_cloud_is_told_with_a_voxel_size_to_use() -> None:
     assert "use --voxel-size 0." in finding.advice
 
 
+def test_a_cloud_of_a_2d_laser_is_told() -> None:
+    x, y = np.meshgrid(np.arange(0, 5, 0.04), np.arange(0, 4, 0.04))
+    outline = (x < 0.05) | (x > 4.9) | (y < 0.05) | (y > 3.9)
+    scan = np.column_stack([x[outline], y[outline], np.zeros(np.count_nonzero(outline))])
+    (finding,) = (f for f in _quality(scan).findings if f.code == "no_walls")
+    assert "as a 2D laser's is" in finding.advice
+
+
 def test_the_distance_of_points_is_measured() -> None:
     rng = np.random.default_rng(0)
     for distance in (0.1, 0.3):

@@ -24,6 +24,13 @@ _FAR = 1000.0
 
 _NOWHERE = 1e8
 """Coordinates beyond this, m, are no place on Earth."""
+_NO_UNIT = 1e13
+"""Nor is there a unit in which those beyond this are one."""
+
+_COARSE = 0.01
+"""Distance of neighbouring single-precision numbers, m, from which walls blur."""
+_SAMPLE = 10_000
+"""Points at which is looked whether they are single-precision numbers."""
 
 _WIDE = 100_000.0
 """Area in m² that no ordinary cloud covers; nor is one as high as its square root."""
@@ -67,13 +74,15 @@ def without_strays(
     Raises
     ------
     ExtractionError
-        What stays is wider than 360,000 m², as clouds that are not in metres are.
+        What stays is wider than 360,000 m², as clouds that are not in metres are, or nowhere.
     """
     low, high = bounds(points)
     total = len(points)
     if max(np.abs(low).max(), np.abs(high).max()) > _NOWHERE:
         points = _few_dropped(points, np.asarray((np.abs(points) <= _NOWHERE).all(axis=1)))
         low, high = bounds(points)
+        if (farthest := max(np.abs(low).max(), np.abs(high).max())) > _NO_UNIT:
+            raise ExtractionError(f"expected coordinates in metres, got some of {farthest:.3g}")
     if _is_wide(low, high):
         points = _few_dropped(points, _largest_cluster(points))
         low, high = bounds(points)
@@ -165,16 +174,26 @@ def _strays(dropped: int, total: int) -> Finding:
     return Finding("strays", "warning", message)
 
 
-def moved_finding(middle: NDArray[np.float64]) -> tuple[Finding, ...]:
-    """Return what to tell of a map whose level frame begins at `middle` (3,), m."""
+def far_findings(points: NDArray[np.float64], middle: NDArray[np.float64]) -> tuple[Finding, ...]:
+    """Return what to tell of points (P, 3), m, whose level frame begins at `middle` (3,), m."""
     if not middle.any():
         return ()
+    some = points[:: max(1, len(points) // _SAMPLE)]
+    step = float(np.spacing(np.abs(some).max().astype(np.float32)))
+    coarse: tuple[Finding, ...] = ()
+    if step > _COARSE and np.array_equal(some, some.astype(np.float32)):
+        message = (
+            "the coordinates are single-precision numbers, which so far from the frame's origin "
+            f"lie up to {step:.2g} m apart"
+        )
+        advice = "write them as doubles or relative to a nearby origin"
+        coarse = (Finding("coarse_numbers", "warning", message, advice),)
     x, y, z = middle
     message = (
         "the cloud lies far from its frame's origin, so the map's level frame begins at "
         f"({x:.0f}, {y:.0f}, {z:.0f}) m"
     )
-    return (Finding("far_frame", "warning", message, "T_level_input holds this"),)
+    return (*coarse, Finding("far_frame", "warning", message, "T_level_input holds this"))
 
 
 def _is_wide(low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:

@@ -37,6 +37,8 @@ _LEAST_UPRIGHT = 0.1
 """Share of upright surfaces: with fewer, walls were hardly seen."""
 _MEASURED = 0.1
 """Share of the points in blocks with enough of them; of fewer nothing is told."""
+_FLAT = 0.3
+"""Height above the floor up to which all of a flat cloud lies, m."""
 _LOW_VIEW = 2.2
 """Height above the floors up to which anything must have been seen, m."""
 _LEAST_FILLED = 0.6
@@ -217,7 +219,12 @@ def _structure(quality: Quality) -> Iterator[Finding]:
 def _walls(quality: Quality) -> Iterator[Finding]:
     if quality.surfaces_measured >= _MEASURED and quality.upright < _LEAST_UPRIGHT:
         message = f"hardly any walls were seen: {quality.upright:.0%} of the points lie on upright"
-        yield Finding("no_walls", "warning", f"{message} surfaces", "is it a building?")
+        advice = "is it a building?"
+        if quality.seen_height < _FLAT:
+            advice = (
+                "the cloud is flat, as a 2D laser's is; one in 3D is needed, with floor and walls"
+            )
+        yield Finding("no_walls", "warning", f"{message} surfaces", advice)
     elif quality.rooms and 0.5 < quality.seen_height < _LOW_VIEW:
         message = (
             f"nothing was seen higher than {quality.seen_height:.1f} m above the floor, where "

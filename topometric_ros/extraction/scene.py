@@ -11,7 +11,7 @@ from topometric_ros.extraction.assemble import majority
 from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.extraction.config import ExtractionConfig
 from topometric_ros.extraction.errors import ExtractionError
-from topometric_ros.extraction.extent import anchor, moved_finding, without_islands, without_strays
+from topometric_ros.extraction.extent import anchor, far_findings, without_islands, without_strays
 from topometric_ros.extraction.layers import refine_floor
 from topometric_ros.extraction.level import Level, estimate_level, no_floor, tilt_findings
 from topometric_ros.extraction.overhead import storeys_without_overhead
@@ -87,6 +87,7 @@ def make_scene(
     with watch.stage("thin"):
         points, strays = without_strays(np.asarray(points, np.float64))
         middle = _middle(points, T_level_input)
+        far = far_findings(points, middle)
         points = points - middle if middle.any() else points
         if not thinned:
             points = thin(points, min(config.voxel_size / 2, _FINEST_LAYERS))
@@ -115,7 +116,7 @@ def make_scene(
         points,
         T_level_input,
         level.tilt,
-        (*strays, *islands, *moved_finding(middle), *level.findings),
+        (*strays, *islands, *far, *level.findings),
         grid,
         cell_of_point,
         raster,
