@@ -19,7 +19,15 @@ INTERFACES = ROOT / "msg_schemas" / "topometric_msgs"
 LONGEST_FILE = 350
 
 LAYERS = (
-    {"errors", "configuration", "stopwatch", "map_checks", "topometric_map", "alignment"},
+    {
+        "errors",
+        "configuration",
+        "stopwatch",
+        "map_checks",
+        "topometric_map",
+        "alignment",
+        "yaml_text",
+    },
     {"voxels"},
     {"extraction"},
     {"matching"},

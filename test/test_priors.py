@@ -75,7 +75,7 @@ def test_two_fixes_in_one_outer_frame_make_a_prior_of_the_pair() -> None:
         ("between", "expected {between"),
         ("{between: [a, a], position: [0, 0, 0], yaw: 0}", "expected two frames"),
         ("{between: [a, b], position: [0, 0], yaw: 0}", "position: expected 3 numbers"),
-        ("{between: [a, b], position: [0, 0, 0]}", "yaw: expected 1 numbers"),
+        ("{between: [a, b], position: [0, 0, 0]}", "yaw: expected a number, got none"),
         ("{between: [a, b], positon: [0, 0, 0], yaw: 0}", "unknown key 'positon'"),
         ("{agent: a, position: [0, 0, 0], yaw: 0}", "expected either between"),
         ("{between: [a, b], T: [1, 2]}", "T: expected 16 numbers"),

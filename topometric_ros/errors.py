@@ -1,4 +1,7 @@
-"""The one exception that every error of this package derives from."""
+"""The one exception that every error of this package derives from, and its one line."""
+
+_LONGEST = 300
+"""Characters of another library's error that are shown: some hold half a damaged file."""
 
 
 class TopometricError(Exception):
@@ -11,3 +14,9 @@ class TopometricError(Exception):
 
 class ConfigurationError(TopometricError):
     """A parameter has an unknown name, a wrong type or a value outside its range."""
+
+
+def one_line(error: BaseException) -> str:
+    """Return what another library says on one line, cut where it is long; its name if nothing."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."

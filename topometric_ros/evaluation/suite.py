@@ -28,12 +28,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from topometric_ros.configuration import with_values
 from topometric_ros.errors import ConfigurationError, TopometricError
 from topometric_ros.evaluation.case import cell_of, crossed_folders, pair_folders
 from topometric_ros.extraction.config import PRESETS
+from topometric_ros.yaml_text import load_yaml
 
 RELEASED = 0
 """`agents` of a case whose agents are the maps that a scene has."""
@@ -96,14 +95,12 @@ def read_suite(text: str) -> Suite:
     """
     path = _path_of(text)
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        source = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SuiteError(f"{path}: the suite cannot be read: {error}") from error
-    except yaml.YAMLError as error:
-        raise SuiteError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     try:
-        return parse_suite(tree, path.stem)
-    except SuiteError as error:
+        return parse_suite(load_yaml(source), path.stem)
+    except (ConfigurationError, SuiteError) as error:
         raise SuiteError(f"{path}: {error}") from error
 
 

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.fusion.poses import Transform, angle, carried, inverse, yaw_of, yaw_pose
+from topometric_ros.yaml_text import load_yaml
 
 _ALLOWED = 18.47
 """Squared distance in standard deviations that a right pose exceeds once in 1,000 (4 unknowns)."""
@@ -150,9 +150,9 @@ def _through(p: Prior, q: Prior) -> Prior:
 def _parsed(text: str) -> Prior:
     where = f"prior {text!r}"
     try:
-        tree = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{where}: not YAML: {' '.join(str(error).split())}") from error
+        tree = load_yaml(text)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error}") from error
     if not isinstance(tree, Mapping):
         raise ConfigurationError(f"{where}: expected {{between: [a, b], …}}, got {tree!r}")
     unknown = [key for key in tree if key not in _KEYS]
@@ -206,5 +206,7 @@ def _numbers(
     value = tree.get(key, list(default) or None)
     flat = np.ravel(value).tolist() if isinstance(value, (list, int, float)) else []
     if len(flat) != count or not all(isinstance(v, (int, float)) and np.isfinite(v) for v in flat):
-        raise ConfigurationError(f"{where}: {key}: expected {count} numbers, got {value!r}")
+        many = "a number" if count == 1 else f"{count} numbers"
+        got = repr(value) if key in tree else "none"
+        raise ConfigurationError(f"{where}: {key}: expected {many}, got {got}")
     return [float(v) for v in flat]

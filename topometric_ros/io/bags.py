@@ -27,7 +27,7 @@ from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 
-from topometric_ros.errors import TopometricError
+from topometric_ros.errors import TopometricError, one_line
 from topometric_ros.io.bag_messages import CLOUD_TYPE, MAP_TYPE, TRANSFORM_TYPE, typestore
 
 logger = logging.getLogger(__name__)
@@ -184,7 +184,7 @@ class Bag:
                 message = store.deserialize_cdr(raw, connection.msgtype)
                 yield BagMessage(time, connection.topic, connection.msgtype, message)
         except _FAILURES as error:
-            raise BagError(f"{self.path}: a message cannot be read: {_line(error)}") from error
+            raise BagError(f"{self.path}: a message cannot be read: {one_line(error)}") from error
 
     def _connections(self) -> Iterator[Connection]:
         for reader in self._readers:
@@ -261,10 +261,5 @@ def _open(path: Path) -> Reader:
         reader = Reader(path)
         reader.open()
     except _FAILURES as error:
-        raise BagError(f"{path}: not a readable bag: {_line(error)}") from error
+        raise BagError(f"{path}: not a readable bag: {one_line(error)}") from error
     return reader
-
-
-def _line(error: BaseException) -> str:
-    """Return an error's text on one line."""
-    return " ".join(str(error).split()) or type(error).__name__

@@ -8,7 +8,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
+from topometric_ros.errors import ConfigurationError
+from topometric_ros.yaml_text import load_yaml
 
 _ALIKE = 0.75
 """From how alike two names are (`difflib`) one may be meant for the other."""
@@ -45,8 +46,8 @@ def passed_over(arguments: Sequence[str], node: str) -> list[str]:
 def _sections(file: str) -> list[str]:
     """Return the full names of the nodes that a parameter file is for; rcl has read it before."""
     try:
-        tree = yaml.safe_load(Path(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
+        tree = load_yaml(Path(file).read_text(encoding="utf-8"))
+    except (OSError, ValueError, ConfigurationError):
         return []
     names: list[str] = []
 

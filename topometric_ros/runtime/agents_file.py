@@ -30,7 +30,8 @@ from typing import Any
 
 import yaml
 
-from topometric_ros.errors import TopometricError
+from topometric_ros.errors import ConfigurationError, TopometricError
+from topometric_ros.yaml_text import load_yaml
 
 MODES = ("auto", "map", "scan")
 
@@ -98,14 +99,10 @@ def read_agents_file(path: Path | str) -> AgentsFile:
     except (OSError, UnicodeDecodeError) as error:
         raise AgentsFileError(f"cannot read agents file {path}: {error}") from error
     try:
-        tree = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        line = " ".join(str(error).split())
-        raise AgentsFileError(f"agents file {path} is not YAML: {line}") from error
-    try:
-        return parse_agents(tree, str(path), Path(path).parent)
-    except RecursionError as error:
-        raise AgentsFileError(f"{path}: an alias in it refers to what holds it") from error
+        tree = load_yaml(text)
+    except ConfigurationError as error:
+        raise AgentsFileError(f"{path}: {error}") from error
+    return parse_agents(tree, str(path), Path(path).parent)
 
 
 def parse_agents(tree: Any, where: str = "agents file", folder: Path = Path()) -> AgentsFile:

@@ -23,6 +23,7 @@ from topometric_ros.configuration import from_nested, nested, with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.extraction.config import PRESETS, ExtractionConfig, extraction_preset
 from topometric_ros.fusion.config import MergeConfig, merge_preset
+from topometric_ros.yaml_text import load_yaml
 
 _KEYS = ("preset", "extraction", "merge")
 
@@ -53,20 +54,16 @@ def load_config(path_or_preset: Path | str = "default") -> ToolConfig:
         return preset_config(str(path_or_preset))
     path = Path(path_or_preset)
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigurationError(
             f"{path}: neither a preset ({', '.join(PRESETS)}) nor a readable file: {reason}"
         ) from error
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     try:
-        return parse_config(tree)
+        return parse_config(load_yaml(text))
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
-    except RecursionError as error:
-        raise ConfigurationError(f"{path}: an alias in it refers to what holds it") from error
 
 
 def parse_config(tree: Any) -> ToolConfig:

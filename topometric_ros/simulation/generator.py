@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import flatten, parameter, with_values
@@ -32,6 +31,7 @@ from topometric_ros.simulation.generator_storey import STAIRS_WIDTH, lay_out
 from topometric_ros.simulation.generator_variants import make_alike, mirrored, refurnished
 from topometric_ros.simulation.generator_wings import wing_frame
 from topometric_ros.simulation.labelled import LabelledBuilding
+from topometric_ros.yaml_text import load_yaml
 
 _WING_SHARE = 0.3
 """Share of a storey's rooms in each wing."""
@@ -103,7 +103,10 @@ def parse_generator(spec: str) -> GeneratorConfig:
         name, equals, value = item.partition("=")
         if not equals:
             raise ConfigurationError(f"{spec}: expected name=value, got {item!r}")
-        values[name.strip()] = yaml.safe_load(value)
+        try:
+            values[name.strip()] = load_yaml(value)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{spec}: {name}: {error}") from error
     return with_values(GeneratorConfig(), {**values, "kind": kind})
 
 

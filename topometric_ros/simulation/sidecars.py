@@ -15,8 +15,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from topometric_ros.errors import ConfigurationError, one_line
 from topometric_ros.simulation.building import BuildingError
 from topometric_ros.simulation.labelled import LabelledBuilding, Trajectory, TrueLink
+from topometric_ros.yaml_text import load_yaml
 
 
 def graph_path(building: Path) -> Path:
@@ -86,13 +88,12 @@ def _beside(building: Path, what: str) -> Path:
 def _read(path: Path, key: str, entry: Any) -> tuple[Any, ...]:
     """Read the list `key` of a YAML file, each item through `entry`."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = load_yaml(path.read_text(encoding="utf-8"))
         return tuple(entry(item) for item in content[key])
     except BuildingError as error:
         raise BuildingError(f"{path}: {error}") from None
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise BuildingError(f"{path}: expected a list {key}: {reason}") from error
+    except (OSError, ConfigurationError, KeyError, TypeError, ValueError) as error:
+        raise BuildingError(f"{path}: expected a list {key}: {one_line(error)}") from error
 
 
 def _link(building: LabelledBuilding, entry: dict[str, Any]) -> TrueLink:

@@ -11,13 +11,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from topometric_ros.configuration import from_nested, with_values
 from topometric_ros.errors import ConfigurationError
 from topometric_ros.simulation.cases import SimulationConfig
 from topometric_ros.simulation.sidecars import waypoints_of
 from topometric_ros.simulation.trajectories import TrajectoryError, Walk
+from topometric_ros.yaml_text import load_yaml
 
 
 def load_simulation_config(
@@ -35,13 +34,13 @@ def load_simulation_config(
     config = defaults or SimulationConfig()
     if path is not None:
         try:
-            tree = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+            tree = load_yaml(path.read_text(encoding="utf-8")) or {}
             if not isinstance(tree, Mapping):
                 raise ConfigurationError(f"expected parameter names and values, got {tree!r}")
             config = from_nested(config, tree)
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror}") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
+        except UnicodeDecodeError as error:
             raise ConfigurationError(f"{path}: not YAML: {error}") from error
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from error
