@@ -274,7 +274,7 @@ def test_run_starts_again_what_ended_but_not_what_refused_its_parameters(
     child = (
         "import pathlib, signal, sys, time\n"
         f"mark = pathlib.Path({str(mark)!r})\n"
-        "signal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))\n"
         f"mark.exists() or (mark.touch(), sys.exit({status}))\n"
         "mark.with_suffix('.again').touch()\n"
         "time.sleep(60)\n"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import array
 import dataclasses
+import difflib
 import importlib.util
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -18,6 +19,9 @@ from typing import Any, TypeVar, get_args, get_type_hints
 from topometric_ros.errors import ConfigurationError
 
 ConfigT = TypeVar("ConfigT")
+
+_MANY = 20
+"""More names than this are not all told."""
 
 _SCALARS = (bool, int, float, str)
 
@@ -220,8 +224,18 @@ def with_values(config: ConfigT, values: Mapping[str, Any]) -> ConfigT:
     known = {info.name: info for info, _ in parameters(config)}
     for name in values:
         if name not in known:
-            raise ConfigurationError(f"unknown parameter {name!r}; known: {', '.join(known)}")
+            raise ConfigurationError(f"unknown parameter {name!r}; {_likely(name, list(known))}")
     return _replace(config, {n: known[n].check(v) for n, v in values.items()}, "")
+
+
+def _likely(name: str, known: list[str]) -> str:
+    """Return which names may have been meant: those like it, or all where they are few."""
+    leaves = [other for other in known if other.rsplit(".", 1)[-1] == name.rsplit(".", 1)[-1]]
+    near = [*leaves, *difflib.get_close_matches(name, known)]
+    if near and len(known) > _MANY:
+        return f"did you mean {' or '.join(dict.fromkeys(near))}?"
+    shown = known if len(known) <= _MANY else [*known[:_MANY], f"and {len(known) - _MANY} more"]
+    return f"known: {', '.join(shown)}"
 
 
 def _replace(config: Any, values: Mapping[str, Any], prefix: str) -> Any:

@@ -5,10 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from topometric_ros.cli.common import add_json, add_verbose, output_folder, progress_of, report
+from topometric_ros.cli.common import (
+    add_json,
+    add_output,
+    add_verbose,
+    output_folder,
+    progress_of,
+    report,
+)
 
 PEERS = "topometric, topometric_thesis, birdseye, kiss_matcher, fpfh_ransac_icp, fgr_icp"
 """As `evaluation.peers.registry` has them, which takes a second to import."""
@@ -33,7 +39,7 @@ def add_parser(commands: Any) -> None:
         help="folders of pairs, each with a.ply, b.ply and truth.json, or such folders themselves; "
         "or suites (YAML files or names: short, grid, ...)",
     )
-    command.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
+    add_output(command)
     command.add_argument(
         "--peers",
         nargs="+",

@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Add the arguments that every command on recorded data has."""
-    command.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="folder to write to"
-    )
+    add_output(command)
     command.add_argument(
         "--config",
         default="default",
@@ -56,13 +54,28 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     add_verbose(command)
 
 
+def add_output(command: argparse.ArgumentParser, required: bool = True) -> None:
+    """Add the argument that names the folder for the results."""
+    command.add_argument(
+        "-o", "--output", type=_folder, required=required, metavar="OUT", help="folder to write to"
+    )
+
+
+def _folder(text: str) -> Path:
+    """Return a path to write to, told before any work; raises ArgumentTypeError for a file."""
+    path = Path(text)
+    if path.exists() and not path.is_dir():
+        raise argparse.ArgumentTypeError(f"expected a folder to write to, got the file {path}")
+    return path
+
+
 def add_cloud_arguments(command: argparse.ArgumentParser) -> None:
     """Add the arguments that say how cloud files are to be read."""
     command.add_argument(
         "--up",
         choices=("x", "y", "z", "-x", "-y", "-z"),
         default="z",
-        help="axis of the clouds that points up; a negative one is written --up=-y",
+        help="axis of the clouds that points up",
     )
     command.add_argument(
         "--scale",

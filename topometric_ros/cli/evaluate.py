@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from topometric_ros.cli.common import add_json, add_verbose, output_folder, progress_of, report
+from topometric_ros.cli.common import (
+    add_json,
+    add_output,
+    add_verbose,
+    output_folder,
+    progress_of,
+    report,
+)
 
 
 def add_parser(commands: Any) -> None:
@@ -20,9 +26,7 @@ def add_parser(commands: Any) -> None:
         "case failed.",
     )
     command.add_argument("suite", help="YAML file, or a bundled suite: short, pairs, ...")
-    command.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="folder to write to"
-    )
+    add_output(command)
     command.add_argument("--jobs", type=_jobs, metavar="N", help="processes (default: all cores)")
     command.add_argument(
         "--presets", nargs="+", metavar="P", help="default, thesis: in place of the suite's own"

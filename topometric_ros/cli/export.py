@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from topometric_ros.cli.common import add_verbose, output_folder
+from topometric_ros.cli.common import add_output, add_verbose, output_folder
 
 _FORMATS = ("ply", "pcd", "laz", "pgm", "geojson", "graphml")
 
@@ -22,9 +22,7 @@ def add_parser(commands: Any) -> None:
     command.add_argument(
         "map", metavar="MAP", help=".tmap file, or the output folder of extract, merge or replay"
     )
-    command.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="folder to write to"
-    )
+    add_output(command)
     command.add_argument(
         "--formats",
         nargs="+",

@@ -28,12 +28,13 @@ from topometric_ros.errors import TopometricError
 BAD_INPUT = 2
 INTERRUPTED = 130
 
+_DOWNWARD = ("-x", "-y", "-z")
 _COMMANDS = (extract, merge, replay, run, view, export, benchmark, evaluate, simulate)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name and return its exit status."""
-    options = parser().parse_args(arguments)
+    options = parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     _log(options.verbose)
     try:
         return int(options.command(options))
@@ -63,6 +64,17 @@ def parser() -> argparse.ArgumentParser:
     for module in _COMMANDS:
         module.add_parser(commands)
     return top
+
+
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with `--up -y` as `--up=-y`: argparse takes `-y` for an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined[-1:] == ["--up"] and argument in _DOWNWARD:
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 class _Parser(argparse.ArgumentParser):

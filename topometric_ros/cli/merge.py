@@ -42,7 +42,8 @@ def add_parser(commands: Any) -> None:
         "sources",
         nargs="+",
         metavar="[ID=]SOURCE",
-        help="two or more clouds, bags (BAG[:TOPIC]) or .tmap files; the first is the anchor",
+        help="two or more clouds, bags (BAG[:TOPIC]), .tmap files or folders that extract wrote; "
+        "the first is the anchor",
     )
     add_arguments(command)
     command.add_argument(
@@ -91,7 +92,7 @@ def merge(options: argparse.Namespace) -> int:
     qualities = {entry.map.agent: entry.quality for entry in loaded if entry.quality}
     write_result(folder, result, maps, timings, ways, qualities)
     content = {**merge_summary(result), "timings": rounded_timings(timings)}
-    report(options, content, [*result_lines(result), f"written to {folder}"])
+    report(options, content, [*result_lines(result, maps), f"written to {folder}"])
     return 0
 
 
@@ -115,8 +116,8 @@ def write_result(
     write_report(result, maps, folder / "report.html", qualities=qualities)
 
 
-def result_lines(result: MergeResult) -> Iterator[str]:
-    """Yield the result as lines for a person."""
+def result_lines(result: MergeResult, maps: Sequence[TopometricMap]) -> Iterator[str]:
+    """Yield the result, and what the maps themselves warn of, as lines for a person."""
     for agent in result.agents:
         yield f"{agent.id}: {agent.status} ({agent.reason})"
     for alignment in result.alignments:
@@ -125,4 +126,5 @@ def result_lines(result: MergeResult) -> Iterator[str]:
             a, b = alignment.agents
             yield f"  T_{a}_{b}, from the frame of {b} to that of {a}, m:"
             yield from ("  " + "  ".join(f"{v: 10.5f}" for v in row) for row in alignment.T_a_b)
+    yield from warning_lines(f"{m.agent}: {told}" for m in maps for told in m.warnings)
     yield from warning_lines(result.warnings)

@@ -62,7 +62,7 @@ def replay(options: argparse.Namespace) -> int:
         **merge_summary(replayed.result),
         "timings": rounded_timings(replayed.timings),
     }
-    report(options, content, [*result_lines(replayed.result), f"written to {folder}"])
+    report(options, content, [*result_lines(replayed.result, maps), f"written to {folder}"])
     return 0
 
 

@@ -212,7 +212,8 @@ class _Fleet:
         """Ask every process to end, and kill what does not within the time of grace."""
         for process in self._processes.values():
             if process.poll() is None:
-                process.send_signal(signal.SIGINT)
+                # Nodes take SIGINT alike, but Python answers it with a traceback while it imports.
+                process.send_signal(signal.SIGTERM)
         limit = time.monotonic() + _GRACE_S
         for name, process in self._processes.items():
             try:

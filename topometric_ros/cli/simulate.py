@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topometric_ros.cli.common import (
+    add_output,
     add_verbose,
     finish_progress,
     output_folder,
@@ -43,7 +44,7 @@ def add_parser(commands: Any) -> None:
         metavar="BUILDING",
         help="office:seed=3,rooms=20 and the like, or a file or folder: see docs/simulation.md",
     )
-    command.add_argument("-o", "--output", type=Path, metavar="OUT", help="folder to write to")
+    add_output(command, required=False)
     command.add_argument(
         "--propose-graph",
         type=Path,

@@ -9,16 +9,18 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.errors import one_line
 from topometric_ros.io.e57 import read_e57_points
 from topometric_ros.io.las import read_las_points
 from topometric_ros.io.pcd import read_pcd_points
 from topometric_ros.io.ply import read_ply_points
-from topometric_ros.io.pointcloud2 import CloudError
+from topometric_ros.io.pointcloud2 import CloudError, require_memory
 from topometric_ros.io.text import read_text_points
 
 __all__ = ["CLOUD_SUFFIXES", "Cloud", "CloudError", "finite_cloud", "read_cloud", "up_rotation"]
@@ -27,6 +29,12 @@ logger = logging.getLogger(__name__)
 
 _MOST_COLUMNS = 100
 """An array with more is one whose points are its columns."""
+
+_DAMAGED = (
+    ValueError, EOFError, OverflowError, SyntaxError, NotImplementedError, RuntimeError,
+    TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What numpy and zipfile raise for files that are cut short, changed or encrypted."""
 
 _UP_ROTATIONS = {
     "x": ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
@@ -98,7 +106,8 @@ def read_cloud(path: Path | str, up: str = "z", scale: float = 1.0) -> Cloud:
     if not path.is_file():
         raise CloudError(f"{path}: expected a file on disk")
     try:
-        points = reader(path)
+        with np.errstate(invalid="ignore", over="ignore"):  # Signalling NaN is dropped as any.
+            points = reader(path)
     except OSError as error:
         raise CloudError(f"{path}: cannot be read: {error}") from error
     return finite_cloud(points if scale == 1.0 else points * scale, str(path), T_up_input)
@@ -141,9 +150,8 @@ def _read_numpy(path: Path) -> NDArray[np.float64]:
                 array = _entry(path, archive)
         else:
             array = np.asarray(loaded)
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        line = " ".join(str(error).split())
-        raise CloudError(f"{path}: not a complete numpy file: {line}") from error
+    except _DAMAGED as error:
+        raise CloudError(f"{path}: not a complete numpy file: {one_line(error)}") from error
     if array.ndim == 1 and {"x", "y", "z"} <= set(array.dtype.names or ()):
         array = np.column_stack([array[axis] for axis in "xyz"])
     columns = array.shape[1] if array.ndim == 2 else 0
@@ -179,6 +187,7 @@ def _entry(path: Path, archive: Any) -> NDArray[Any]:
         raise CloudError(
             f"{path}: {name} ends early: expected {size} bytes for {shape}, got {entry.file_size}"
         )
+    require_memory(path, size // (3 * dtype.itemsize or 1), 3 * dtype.itemsize)
     return np.asarray(archive[name])
 
 

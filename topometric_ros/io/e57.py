@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.io.pointcloud2 import CloudError, missing_reader
+from topometric_ros.io.pointcloud2 import CloudError, missing_reader, require_memory
 
 _MOST_POINTS_A_BYTE = 8
 """A scan that claims more points than this for each byte of its file is damaged or hostile."""
+
+_SIZE = 24
+"""Bytes of a point's coordinates, which pye57 keeps as read and in the scan's pose."""
 
 _DAMAGED = (ValueError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError)
 """What else pye57 raises for fields that are missing or of another kind."""
@@ -53,5 +56,6 @@ def _scan(path: Path, file: Any, index: int) -> NDArray[np.float64]:
             f"{path}: not a complete E57 file: scan {index} claims {count} points, "
             f"the file has {size} bytes"
         )
+    require_memory(path, count, 2 * _SIZE)
     fields = file.read_scan(index, ignore_missing_fields=True)
     return np.column_stack([fields[f"cartesian{axis}"] for axis in "XYZ"])

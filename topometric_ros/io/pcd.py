@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from topometric_ros.io.pointcloud2 import CloudError
+from topometric_ros.io.pointcloud2 import CloudError, require_memory
 from topometric_ros.io.text import table_of_text
 
 _LONGEST_HEADER = 1 << 16
@@ -70,7 +70,8 @@ def read_pcd_points(path: Path) -> NDArray[np.float64]:
     if header.encoding == "binary_compressed":
         return _read_compressed(path, header)
     raise CloudError(
-        f"{path}: PCD data: expected ascii, binary or binary_compressed, got {header.encoding!r}"
+        f"{path}: PCD data: expected ascii, binary or binary_compressed, "
+        f"got {header.encoding[:40]!r}"
     )
 
 
@@ -119,6 +120,7 @@ def _read_ascii(path: Path, header: _Header) -> NDArray[np.float64]:
 
 def _read_binary(path: Path, header: _Header) -> NDArray[np.float64]:
     _check_size(path, header, header.body + header.count * header.step)
+    require_memory(path, header.count, header.step)
     dtype = np.dtype([(f"p{i}", f"<{k}", (n,)) for i, (_, k, n) in enumerate(header.fields)])
     table = np.fromfile(path, dtype, header.count, offset=header.body)
     return np.column_stack([table[f"p{header.position(axis)}"][:, 0] for axis in "xyz"]).astype(
@@ -139,6 +141,7 @@ def _read_compressed(path: Path, header: _Header) -> NDArray[np.float64]:
                 f"{path}: expected {expected} bytes of compressed PCD data for {header.count} "
                 f"points, got {size} in {packed}"
             )
+        require_memory(path, header.count, header.step)
         raw = np.zeros(size, np.uint8)
         written = _decompressed(np.frombuffer(file.read(packed), np.uint8), raw)
     if written != size:

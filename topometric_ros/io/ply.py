@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.io.pointcloud2 import CloudError
+from topometric_ros.io.pointcloud2 import CloudError, require_memory
 from topometric_ros.io.text import table_of_text
 
 _TYPES = {
@@ -140,6 +140,7 @@ def _read_binary(path: Path, header: PlyHeader) -> NDArray[np.float64]:
             f"{path}: the PLY file ends early: expected {expected} bytes for {header.vertices} "
             f"vertices, got {size}"
         )
+    require_memory(path, header.vertices, dtype.itemsize)
     table = np.fromfile(path, dtype, header.vertices, offset=header.size)
     names = [name for name, _ in header.properties]
     points = np.empty((len(table), 3))

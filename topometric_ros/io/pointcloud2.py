@@ -6,6 +6,7 @@ guessed: a cloud whose sizes contradict each other is refused with what was expe
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,6 +19,8 @@ from topometric_ros.errors import TopometricError
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 8: 8}
 """Bytes of each PointField datatype: (U)INT8, (U)INT16, (U)INT32, FLOAT32 and FLOAT64."""
 _FLOATS = {7: "f4", 8: "f8"}
+_BYTES_OF_A_POINT = 48
+"""As read, and as finite points with z up."""
 
 
 class CloudError(TopometricError):
@@ -27,6 +30,23 @@ class CloudError(TopometricError):
 def missing_reader(path: Path, kind: str, package: str) -> CloudError:
     """Return the error that says which package reads a kind of file."""
     return CloudError(f'{path}: reading {kind} files needs an extra: pip install "{package}"')
+
+
+def require_memory(path: Path, count: int, size: int) -> None:
+    """Refuse a cloud of `count` points, `size` bytes each in its file, that memory cannot hold.
+
+    Raises
+    ------
+    CloudError
+        Reading them takes more than this machine has; the system would end the process unasked.
+    """
+    has = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    takes = count * (size + _BYTES_OF_A_POINT)
+    if takes > has:
+        raise CloudError(
+            f"{path}: expected a cloud that fits into memory ({has / 1e9:.0f} GB), got {count} "
+            f"points, which take {takes / 1e9:.0f} GB; thin them first"
+        )
 
 
 class PointField(Protocol):

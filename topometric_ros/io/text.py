@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.errors import one_line
 from topometric_ros.io.pointcloud2 import CloudError
 
 _COMMENTS = (b"#", b"//")
@@ -31,16 +33,16 @@ def read_text_points(path: Path) -> NDArray[np.float64]:
         A line does not begin with three numbers.
     """
     with path.open("rb") as file:
-        rows = list(_rows(file))
-    if rows and _is_heading(rows[0]):
-        del rows[0]
-    if not rows:
-        return np.empty((0, 3))
-    try:
-        return np.loadtxt(rows, usecols=(0, 1, 2), ndmin=2, comments=None)
-    except ValueError as error:
-        line = " ".join(str(error).split())
-        raise CloudError(f"{path}: expected three numbers a line: {line}") from error
+        rows = _rows(file)
+        first = next(rows, None)
+        if first is not None and _is_heading(first):
+            first = next(rows, None)
+        if first is None:
+            return np.empty((0, 3))
+        try:
+            return np.loadtxt(chain([first], rows), usecols=(0, 1, 2), ndmin=2, comments=None)
+        except ValueError as error:
+            raise CloudError(f"{path}: expected three numbers a line: {one_line(error)}") from error
 
 
 def table_of_text(
@@ -66,8 +68,9 @@ def table_of_text(
                 file, usecols=columns, max_rows=min(count, most), ndmin=2, comments=None
             )
     except ValueError as error:
-        line = " ".join(str(error).split())
-        raise CloudError(f"{path}: the {what}'s {items} cannot be read: {line}") from error
+        raise CloudError(
+            f"{path}: the {what}'s {items} cannot be read: {one_line(error)}"
+        ) from error
     if len(points) < count:
         raise CloudError(
             f"{path}: the {what} ends early: expected {count} {items}, got {len(points)}"

@@ -101,13 +101,16 @@ def namespace_of(topic: str) -> str:
     return parts[0] if len(parts) > 1 else ""
 
 
-def require_distinct(agents: Sequence[str]) -> None:
+def require_distinct(sources: Sequence[Source | BagSource]) -> None:
     """Raise SourceError where two sources have one id."""
-    twice = sorted({agent for agent in agents if list(agents).count(agent) > 1})
-    if twice:
-        raise SourceError(
-            f"two sources are named {twice[0]!r}; name them apart: ID={twice[0]}..., ID2=..."
-        )
+    first: dict[str | None, str] = {}
+    for source in sources:
+        if source.agent in first:
+            one, other = first[source.agent], source.text
+            raise SourceError(
+                f"two sources are named {source.agent!r}; name them apart: left={one} right={other}"
+            )
+        first[source.agent] = source.text
 
 
 def one_bag_source(source: Source) -> BagSource:

@@ -66,7 +66,7 @@ def find_agents(texts: Sequence[str]) -> list[BagSource]:
         if source.path.exists() and not is_bag(source.path):
             raise BagError(f"{source.path}: not a bag: expected a directory, .mcap or .db3 file")
         found += bag_sources(source)
-    require_distinct([source.agent for source in found])
+    require_distinct(found)
     return found
 
 

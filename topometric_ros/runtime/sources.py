@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.quality import Quality
 from topometric_ros.io.bags import is_bag
 from topometric_ros.io.clouds import read_cloud, up_rotation
-from topometric_ros.io.map_files import load_map
+from topometric_ros.io.map_files import load_map, map_file_of
 from topometric_ros.io.trajectories import AgentTrajectory, trajectory_of
 from topometric_ros.runtime.agent_input import AgentInput
 from topometric_ros.runtime.bag_input import BagInput
@@ -75,8 +76,8 @@ def load_sources(
 
     Parameters
     ----------
-    texts : clouds, `BAG:topic` or .tmap files, each with `ID=` before it where the agent's name
-        is not to be the topic's namespace or the file's stem
+    texts : clouds, `BAG:topic`, .tmap files or output folders that hold one, each with `ID=` before
+        it where the agent's name is not to be the map's, the topic's namespace or the file's stem
     config : of the extraction and of the descriptors, see `runtime.config.load_config`
     options : how to read them
     progress : called with a word on what is being done
@@ -92,8 +93,8 @@ def load_sources(
 
 def named_sources(texts: Sequence[str]) -> list[Source]:
     """Return every source with its agent's id, all distinct; raises as :func:`load_sources`."""
-    sources = [_named(parse_source(text)) for text in texts]
-    require_distinct([source.agent or "" for source in sources])
+    sources = [_named(_opened(parse_source(text))) for text in texts]
+    require_distinct(sources)
     return sources
 
 
@@ -121,17 +122,20 @@ def load_source(
     agent = source.agent or readable(source.path.stem)
     way = _trajectory_beside(source.path, source.path.stem, agent)
     progress(f"extracting {agent} ({len(cloud.points):,} points)")
-    result = extract_map(
-        cloud.points,
-        config.extraction,
-        config.merge.matching,
-        T_up_input=cloud.T_up_input,
-        warnings=cloud.warnings,
-        agent=agent,
-        session=session_id(options.seed, agent, 0),
-        sequence=1,
-        way=None if way is None else way.positions @ cloud.T_up_input[:3, :3].T,
-    )
+    try:
+        result = extract_map(
+            cloud.points,
+            config.extraction,
+            config.merge.matching,
+            T_up_input=cloud.T_up_input,
+            warnings=cloud.warnings,
+            agent=agent,
+            session=session_id(options.seed, agent, 0),
+            sequence=1,
+            way=None if way is None else way.positions @ cloud.T_up_input[:3, :3].T,
+        )
+    except ExtractionError as error:
+        raise SourceError(f"{source.text}: {error}") from error
     return LoadedMap(result.map, source.text, result.timings, way, result.quality)
 
 
@@ -151,7 +155,10 @@ def load_bag_source(
     if reader.map is not None:
         return LoadedMap(dataclasses.replace(reader.map, agent=source.agent), source.text)
     progress(f"extracting {source.agent}")
-    result = reader.agent_input.session.extract()
+    try:
+        result = reader.agent_input.session.extract()
+    except ExtractionError as error:
+        raise SourceError(f"{source.text}: {error}") from error
     m = dataclasses.replace(result.map, warnings=(*reader.warnings(), *result.map.warnings))
     way = reader.agent_input.session.trajectory
     return LoadedMap(m, source.text, result.timings, way, result.quality)
@@ -179,6 +186,12 @@ def _trajectory_beside(path: Path, name: str, agent: str) -> AgentTrajectory | N
     """Return the trajectory of `name` that lies beside a file, as that of `agent`."""
     found = trajectory_of(path, name)
     return None if found is None else dataclasses.replace(found, agent=agent)
+
+
+def _opened(source: Source) -> Source:
+    """Return the map file in the place of the output folder that holds it."""
+    held = map_file_of(source.path)
+    return source if held is None else dataclasses.replace(source, path=held)
 
 
 def _named(source: Source) -> Source:

@@ -1,0 +1,146 @@
+"""What people type and open that is not quite right: told in one line with the file and the way."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from test.helpers_bags import flat
+from topometric_ros.cli.main import main
+from topometric_ros.io import pointcloud2
+from topometric_ros.io.clouds import CloudError, read_cloud
+
+
+def told(arguments: Sequence[object], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line that a command says before it ends with status 2."""
+    try:
+        status = main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        status = end.code
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.err.count("\n") == 1
+    return captured.err.strip()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the same flat upright and on its side, twice under one name, and a point."""
+    folder = tmp_path_factory.mktemp("wrong")
+    (folder / "other").mkdir()
+    points = flat()
+    for name in ("a", "other/a"):
+        np.save(folder / name, points)
+    np.save(folder / "down", points * (1, -1, -1))
+    np.save(folder / "side", points[:, [0, 2, 1]] * (1, 1, -1))
+    np.save(folder / "point", points[:1])
+    return folder
+
+
+def test_the_source_that_is_wrong_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    a, point = folder / "a.npy", folder / "point.npy"
+    assert f"{point}: no floor found" in told(["merge", a, point, "-o", tmp_path], capsys)
+    twice = told(["merge", a, folder / "other" / "a.npy", "-o", tmp_path], capsys)
+    assert twice.endswith(f"left={a} right={folder / 'other' / 'a.npy'}")
+    assert f"got the file {point}" in told(["extract", a, "-o", point], capsys)
+
+
+def test_names_that_are_nearly_right_are_told(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "c.yaml").write_text("extraction: {voxelsize: 0.1, rooms: 2}\n")
+    line = told(
+        ["extract", folder / "a.npy", "-o", tmp_path, "--config", tmp_path / "c.yaml"], capsys
+    )
+    assert line.endswith("unknown parameter 'voxelsize'; did you mean voxel_size?")
+    line = told(["simulate", "office:rooms=[3", "-o", tmp_path], capsys)
+    assert "office:rooms=[3: rooms: not YAML" in line
+
+
+def test_a_negative_axis_is_an_axis(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["extract", str(folder / "down.npy"), "--up", "-z", "-o", str(folder / "D")]) == 0
+    assert "warning" not in capsys.readouterr().out
+
+
+def test_what_the_maps_warn_of_is_told_by_a_merge_of_folders_and_files(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    extracted = folder / "A"
+    assert main(["extract", str(folder / "a.npy"), "-o", str(extracted)]) == 0
+    sources = [str(extracted), str(folder / "side.npy")]
+    assert main(["merge", *sources, "-o", str(folder / "M")]) == 0
+    out = capsys.readouterr().out
+    assert "a: anchor" in out
+    assert "warning: side: the floor looks perpendicular to y" in out
+
+
+def las(size: int = 400, **fields: int) -> bytearray:
+    """Return the header of a LAS 1.2 file whose points begin at byte 227."""
+    raw = bytearray(size)
+    raw[:4] = b"LASF"
+    raw[24:26] = b"\1\2"
+    struct.pack_into("<HIIBH", raw, 94, 227, 227, 0, fields.get("kind", 0x83), 34)
+    struct.pack_into("<I", raw, 107, fields.get("points", 1))
+    return raw
+
+
+@pytest.mark.parametrize(
+    ("place", "chunks", "what"),
+    [(300, 2**32 - 1, "one of 4294967295 chunks"), (396, 1, "none"), (-1, 0, "none"),
+     (2**60, 0, "none")],
+)  # fmt: skip
+def test_a_laz_file_cannot_claim_more_chunks_than_it_has_bytes(
+    tmp_path: Path, place: int, chunks: int, what: str
+) -> None:
+    """The library that reads them ends the process where it cannot take memory for its table."""
+    pytest.importorskip("lazrs")
+    raw = las()
+    struct.pack_into("<q", raw, 227, place)
+    if 0 <= place < 390:
+        struct.pack_into("<II", raw, place, 0, chunks)
+    (tmp_path / "a.laz").write_bytes(raw)
+    with pytest.raises(CloudError, match=f"table of its chunks before byte 400, got {what}"):
+        read_cloud(tmp_path / "a.laz")
+
+
+def test_a_cloud_that_memory_cannot_hold_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.savez_compressed(tmp_path / "a.npz", points=np.zeros((1000, 3)))
+    assert len(read_cloud(tmp_path / "a.npz").points) == 1000
+    monkeypatch.setattr(pointcloud2, "_BYTES_OF_A_POINT", 1e12)
+    with pytest.raises(CloudError, match=r"fits into memory .* got 1000 points"):
+        read_cloud(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda raw: raw.replace(b"'descr'", b"'descr(", 1),
+        lambda raw: raw.replace(b"(4, 3)", b"(9" + b"9" * 30 + b", 3)", 1),
+        lambda raw: raw.replace(b"}", b" ", 1),
+    ],
+)
+def test_a_numpy_header_that_is_no_header_is_told(tmp_path: Path, change: object) -> None:
+    file = io.BytesIO()
+    np.save(file, np.zeros((4, 3)))
+    (tmp_path / "a.npy").write_bytes(change(file.getvalue()))  # type: ignore[operator]
+    with pytest.raises(CloudError, match=r"not a complete numpy file: .{1,300}"):
+        read_cloud(tmp_path / "a.npy")
+
+
+def test_what_a_damaged_file_holds_does_not_fill_the_screen(tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_bytes(b"x" * 50_000)
+    header = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA " + b"binary" * 1000 + b"\n"
+    (tmp_path / "b.pcd").write_bytes(header)
+    for name in ("a.xyz", "b.pcd"):
+        with pytest.raises(CloudError) as caught:
+            read_cloud(tmp_path / name)
+        assert len(str(caught.value)) < len(str(tmp_path)) + 400
