@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from test.helpers_voxels import scattered
 from topometric_ros.errors import TopometricError
-from topometric_ros.voxels.index import VoxelIndex
+from topometric_ros.voxels.index import VoxelIndex, cells_to_next
 
 cell = st.tuples(*[st.integers(-70, 70)] * 3)
 
@@ -22,6 +22,17 @@ def test_rows_are_those_of_a_dictionary(cells, asked) -> None:
     queries = cells + asked
     expected = [row.get(q, -1) for q in queries]
     assert VoxelIndex(coords).rows(np.array(queries).reshape(-1, 3)).tolist() == expected
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.integers(-12, 12), unique=True, max_size=6), st.integers(-9, 9))
+def test_the_next_cell_of_a_column_is_found_up_and_down(heights, z) -> None:
+    table = VoxelIndex(np.array([(3, -2, h) for h in heights], np.int32).reshape(-1, 3)).table
+    for way in (1, -1):
+        ahead = [way * (h - z) for h in heights if way * (h - z) > 0]
+        nearest = min(ahead, default=21)
+        assert cells_to_next(table, 3, -2, z, way, 20) == nearest
+        assert cells_to_next(table, 3, -2, z, way, 2) == min(nearest, 3)
 
 
 def test_coordinates_far_apart_and_at_the_limits_are_found() -> None:

@@ -27,9 +27,9 @@ def storeys_of_rooms(room: NDArray[np.int32], storey: NDArray[np.int32]) -> dict
     known = np.flatnonzero(room != NO_ROOM)
     if len(known) == 0:
         return {}
-    ids, group = np.unique(room[known], return_inverse=True)
-    of_most = majority(group.reshape(-1), storey[known])
-    return dict(zip(ids.tolist(), of_most.tolist(), strict=True))
+    held = np.bincount(room[known]) > 0
+    of_most = majority((np.cumsum(held) - 1)[room[known]], storey[known])
+    return dict(zip(np.flatnonzero(held).tolist(), of_most.tolist(), strict=True))
 
 
 def assemble_rooms(
@@ -47,7 +47,8 @@ def assemble_rooms(
     measured = room_attributes(rooms)
     room = rooms.room
     order = np.argsort(room, kind="stable")
-    ids, starts = np.unique(room[order], return_index=True)
+    starts = np.flatnonzero(np.diff(room[order], prepend=NO_ROOM - 1))
+    ids = room[order[starts]]
     described = []
     columns = _columns_of(rooms.columns.starts, rooms.columns.order, room).tolist()
     for room_id, rows in zip(ids.tolist(), np.split(order, starts[1:]), strict=True):

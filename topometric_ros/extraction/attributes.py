@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.extraction.mapped_rooms import MappedRooms
+from topometric_ros.extraction.masks import BESIDE, depth, dilated
 from topometric_ros.topometric_map import NO_ROOM, Storey
 from topometric_ros.voxels.grid import VoxelGrid
 
@@ -62,10 +63,9 @@ def room_attributes(rooms: MappedRooms) -> dict[int, RoomAttributes]:
         if of_storey.any():
             plan = _plan(rooms, np.where(of_storey, rooms.room, NO_ROOM), one.floor_z)
             standing = _standing(rooms, plan, one.floor_z)
-            ids, label = np.unique(plan.label, return_inverse=True)
-            windows = ndimage.find_objects(label.reshape(plan.label.shape) + int(ids[0] >= 0))
-            for room, window in zip(ids[ids != NO_ROOM].tolist(), windows, strict=True):
-                found[room] = _measured(room, plan, _padded(window), standing, rooms.grid, one)
+            for room, window in enumerate(ndimage.find_objects(plan.label - NO_ROOM)):
+                if window is not None:
+                    found[room] = _measured(room, plan, _padded(window), standing, rooms.grid, one)
     return found
 
 
@@ -190,9 +190,10 @@ def _rim(
     floor: NDArray[np.bool_], label: NDArray[np.int32], bounding: NDArray[np.bool_], size: float
 ) -> tuple[float, float]:
     """Return how much of the rim of a floor borders on nothing that was seen, and the rim, m."""
-    rim = ndimage.binary_dilation(floor) & ~floor
-    reach = ndimage.generate_binary_structure(2, 2)
-    near = ndimage.binary_dilation(bounding, reach, iterations=max(1, round(_GAP / size)))
+    rim = dilated(floor, 1) & ~floor
+    near = bounding
+    for _ in range(max(1, round(_GAP / size))):
+        near = dilated(near, BESIDE)
     open_rim = rim & (label == NO_ROOM) & ~near
     return float(np.count_nonzero(open_rim) * size), float(np.count_nonzero(rim) * size)
 
@@ -208,7 +209,7 @@ def _centre(
     free = floor & np.isfinite(standing)
     if not free.any():
         return None
-    clear = ndimage.distance_transform_edt(free)
+    clear = depth(free)
     cells = np.argwhere(clear >= _OPEN * clear.max())
     middle = np.argwhere(free).mean(axis=0)
     i, j = cells[np.argmin(((cells - middle) ** 2).sum(axis=1))].tolist()

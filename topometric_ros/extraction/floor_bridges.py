@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.extraction.navigation import NavigationConfig
-from topometric_ros.voxels.index import VoxelIndex, row_at
+from topometric_ros.voxels.index import VoxelIndex, cells_to_next, row_at
 from topometric_ros.voxels.kernels import stick_kernel
 
 NO_FLOOR = np.iinfo(np.int32).min
@@ -65,7 +65,7 @@ def bridged(
     if lowest:
         limits[4] = 0.0
     found = []
-    known = np.full((2, *floor.shape, 3), NO_FLOOR, np.int32)
+    known = np.full((*floor.shape, 4), NO_FLOOR, np.int32)
     for _ in range(_ROUNDS if max(config.gap, config.roofed_gap) > 0.0 else 0):
         closed = _bridges(
             index.table, floor, corner.astype(np.int64), above, np.rint(limits).astype(np.int64),
@@ -83,7 +83,7 @@ def bridged(
 def _bridges(table, floor, corner, stick, limits, step, known):  # type: ignore[no-untyped-def]
     """Height of the floor in each gap, from the shortest line over it that is free throughout.
 
-    `known` (2, nx, ny, 3) keeps what was found out of each cell, without and with a pane.
+    `known` (nx, ny, 4) keeps what was found out of each cell (:func:`_look`).
     """
     closed = np.full(floor.shape, NO_FLOOR, np.int32)
     shortest = np.full(floor.shape, np.inf)
@@ -97,10 +97,8 @@ def _bridges(table, floor, corner, stick, limits, step, known):  # type: ignore[
                     continue
                 low = floor[i, j]
                 # Most of the rim stands at walls, which the first cell tells.
-                if (
-                    _known(known[1], i + dx, j + dy, low, table, corner, stick, limits, 1)[1]
-                    == NO_FLOOR
-                ):
+                _look(known, i + dx, j + dy, low, table, corner, stick, limits)
+                if known[i + dx, j + dy, 1] == NO_FLOOR:
                     continue
                 count = 1
                 while count * edge <= widest and _is_gap(
@@ -113,15 +111,15 @@ def _bridges(table, floor, corner, stick, limits, step, known):  # type: ignore[
                 rise = floor[x, y] - low
                 if floor[x, y] == NO_FLOOR or abs(rise) > step + _SLOPE * (count + 1) * edge:
                     continue
-                pane = int(count * edge <= limits[5])
+                pane = count * edge <= limits[5]
                 roofed, free = True, True
                 for n in range(1, count + 1):
                     z = low + math.floor(rise * n / (count + 1) + 0.5)
                     x, y = i + n * dx, j + n * dy
-                    cell = _known(known[pane], x, y, z, table, corner, stick, limits, pane)
-                    heights[n] = cell[1]
-                    roofed &= cell[2] == 1
-                    free &= cell[1] != NO_FLOOR
+                    _look(known, x, y, z, table, corner, stick, limits)
+                    heights[n] = known[x, y, 1]
+                    roofed &= known[x, y, 2] == 1
+                    free &= heights[n] != NO_FLOOR and (pane or known[x, y, 3] == 0)
                     if not free:
                         break
                 if not free or count * edge > (widest if roofed else limits[0]):
@@ -141,21 +139,21 @@ def _is_gap(floor, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _known(known, x, y, z, table, corner, stick, limits, pane):  # type: ignore[no-untyped-def]
-    """What :func:`_floor_at` says of a cell: the height asked, that of the floor, a roof (3,)."""
-    cell = known[x, y]
-    if cell[0] != z:
-        cell[0] = z
-        cell[1], cell[2] = _floor_at(table, corner[0] + x, corner[1] + y, z, stick, limits, pane)
-    return cell
+def _look(known, x, y, z, table, corner, stick, limits):  # type: ignore[no-untyped-def]
+    """Put into `known` at a cell the height asked and what :func:`_floor_at` says of it."""
+    if known[x, y, 0] != z:
+        found = _floor_at(table, corner[0] + x, corner[1] + y, z, stick, limits)
+        known[x, y, 0] = z
+        known[x, y, 1], known[x, y, 2], known[x, y, 3] = found
 
 
 @njit(cache=True, nogil=True)
-def _floor_at(table, x, y, z, stick, limits, pane):  # type: ignore[no-untyped-def]
-    """Cell near height z that floor may be taken for, and whether a roof is above; NO_FLOOR: none.
+def _floor_at(table, x, y, z, stick, limits):  # type: ignore[no-untyped-def]
+    """Cell near height z that floor may be taken for, NO_FLOOR: none; whether a roof is above; and
+    specks where the stick is.
 
     A voxel seen within a cell of z is floor where the stick fits; none is seen otherwise. In a
-    gap no wider than a `pane` a few specks do not count, such as glass returns.
+    gap no wider than a pane a few specks do not count, such as glass returns.
     """
     seen = False
     for rise in (0, 1, -1):
@@ -169,17 +167,13 @@ def _floor_at(table, x, y, z, stick, limits, pane):  # type: ignore[no-untyped-d
         if row_at(table, x + stick[k, 0], y + stick[k, 1], z + stick[k, 2]) >= 0:
             specks += 1
             level += 1
-            if pane == 0 or level > _SPECKS_OF_LAYER or specks > _SPECKS * len(stick):
-                return NO_FLOOR, 0
-    above = 1
-    while above <= limits[6] and row_at(table, x, y, z + above) < 0:
-        above += 1
+            if level > _SPECKS_OF_LAYER or specks > _SPECKS * len(stick):
+                return NO_FLOOR, 0, specks
+    above = cells_to_next(table, x, y, z, 1, limits[6])
     if above <= limits[2] and specks == 0:
-        return NO_FLOOR, 0
+        return NO_FLOOR, 0, specks
     if not seen:
-        below = 2
-        while below <= limits[4] and row_at(table, x, y, z - below) < 0:
-            below += 1
+        below = cells_to_next(table, x, y, z, -1, limits[4])
         if limits[3] < below <= limits[4]:
-            return NO_FLOOR, 0
-    return z, int(above <= limits[6])
+            return NO_FLOOR, 0, specks
+    return z, int(above <= limits[6]), specks

@@ -70,7 +70,6 @@ def close_gaps(
     """
     if len(navigable) == 0 or (way is None and max(config.gap, config.roofed_gap) == 0.0):
         return navigable
-    index = VoxelIndex(grid.coords)
     # Treads are navigable though the stick fits on none of them, so both have a say.
     places = np.concatenate([navigable[:, :2], standing[:, :2]])
     corner = places.min(axis=0)
@@ -87,10 +86,10 @@ def close_gaps(
         if way is not None:
             here = way[(way[:, 2] >= storey.floor) & (way[:, 2] < storey.ceiling)]
             added.append(_walked(floor, here, corner, grid))
-        added.append(bridged(floor, corner, index, grid.voxel_size, config, number == 0))
+        added.append(bridged(floor, corner, grid.index, grid.voxel_size, config, number == 0))
     every = in_morton_order(np.concatenate(added))
     if len(storeys) > 1:
-        every = every[_not_under_floor(every, VoxelIndex(every), index, grid.voxel_size)]
+        every = every[_not_under_floor(every, VoxelIndex(every), grid.index, grid.voxel_size)]
     return _joined(
         every, VoxelIndex(navigable), math.floor(config.dilation / grid.voxel_size + 0.5)
     )

@@ -7,6 +7,7 @@ but floor disproves a pose, however well everything else fits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from scipy import ndimage
 
 from topometric_ros.configuration import parameter
 from topometric_ros.errors import TopometricError
+from topometric_ros.extraction.masks import BESIDE, closed, dilated
 from topometric_ros.topometric_map import StoreyLayers
 from topometric_ros.voxels.grid import bounds
 
@@ -90,12 +92,6 @@ class LayersConfig:
     )  # fmt: skip
 
 
-def disk(radius: int) -> NDArray[np.bool_]:
-    """Return a disk of cells, (2 radius + 1, 2 radius + 1) bool."""
-    x, y = np.mgrid[-radius : radius + 1, -radius : radius + 1]
-    return x * x + y * y <= radius * radius + radius
-
-
 def refine_floor(points: NDArray[np.float64], z: float, config: LayersConfig) -> float:
     """Return a floor's height to 2 cm.
 
@@ -153,16 +149,24 @@ def storey_layers(
     """
     result = []
     for z in floors:
-        heights = points[:, 2] - z
         # What may be of this storey once its floor is followed.
-        part = points[
-            (heights > -config.floor_tolerance - config.floor_drift)
-            & (heights < config.wall_top + config.floor_drift)
-        ]
+        bottom = -config.floor_tolerance - config.floor_drift
+        part = _between(points, z, bottom, config.wall_top + config.floor_drift)
         _check_extent(part)
-        columns = np.floor(part[:, :2] / CELL + 0.5).astype(np.int64)
-        result.append(_layers_of_storey(columns, above_floor(part, z, config), config))
+        result.append(_layers_of_storey(part, above_floor(part, z, config), config))
     return tuple(result)
+
+
+@njit(cache=True, nogil=True)
+def _between(points, z, bottom, top):  # type: ignore[no-untyped-def]
+    """Points whose height above `z` lies between two: (K, 3)."""
+    part = np.empty_like(points)
+    count = 0
+    for p in range(len(points)):
+        if bottom < points[p, 2] - z < top:
+            part[count] = points[p]
+            count += 1
+    return part[:count].copy()
 
 
 def _check_extent(points: NDArray[np.float64]) -> None:
@@ -186,16 +190,26 @@ def above_floor(points: NDArray[np.float64], z: float, config: LayersConfig) -> 
     step, or the ceiling of the storey below seen through an unmapped floor, is not followed.
     """
     heights = points[:, 2] - z
-    tile = np.floor(points[:, :2] / _TILE).astype(np.int64)
     near = np.abs(heights) < config.floor_drift
     if config.floor_drift == 0.0 or not near.any():
         return heights
-    on_floor = tile[near]
+    on_floor = np.floor(points[near, :2] / _TILE).astype(np.int64)
     low, high = bounds(on_floor)
     shape = high - low + 1
     offset = _followed(*_floor_of_tiles(on_floor - low, heights[near], shape, config), config)
-    inside = np.clip(tile - low, 0, shape - 1)
-    return heights - offset[inside[:, 0], inside[:, 1]]
+    _take_off(points, low, offset, heights)
+    return heights
+
+
+@njit(cache=True, nogil=True)
+def _take_off(points, low, offset, heights):  # type: ignore[no-untyped-def]
+    """Take the floor's height in the nearest of the tiles from `low` on off heights, in place."""
+    for p in range(len(points)):
+        i = np.int64(np.floor(points[p, 0] / _TILE)) - low[0]
+        j = np.int64(np.floor(points[p, 1] / _TILE)) - low[1]
+        i = min(max(i, 0), offset.shape[0] - 1)
+        j = min(max(j, 0), offset.shape[1] - 1)
+        heights[p] -= offset[i, j]
 
 
 def _floor_of_tiles(
@@ -239,11 +253,10 @@ def _followed(
 
 
 def _layers_of_storey(
-    columns: NDArray[np.int64], heights: NDArray[np.float64], config: LayersConfig
+    points: NDArray[np.float64], heights: NDArray[np.float64], config: LayersConfig
 ) -> StoreyLayers:
-    """Rasters of one storey; `heights` (P,) are metres above its floor."""
-    band = (heights > -config.floor_tolerance) & (heights < config.wall_top)
-    columns, heights = columns[band], heights[band]
+    """Rasters of the points (P, 3) of one storey; `heights` (P,) are metres above its floor."""
+    columns, heights = _columns_of(points, heights, -config.floor_tolerance, config.wall_top)
     if len(columns) == 0:
         empty = np.zeros((1, 1), bool)
         return StoreyLayers(CELL, (0.0, 0.0), empty, empty, empty, empty)
@@ -259,12 +272,27 @@ def _layers_of_storey(
         config.floor_tolerance,
     )
     wall = wall_bins >= config.wall_bins
-    beside_wall = ndimage.binary_dilation(wall, np.ones((3, 3), bool))
+    beside_wall = dilated(wall, BESIDE)
     furniture = (furniture_bins >= config.furniture_bins) & ~beside_wall
-    closed = ndimage.binary_closing(floor, disk(config.floor_closing))
-    free = closed & ~beside_wall & (wall_bins == 0)
+    radius = config.floor_closing
+    free = closed(floor, math.sqrt(radius * radius + radius)) & ~beside_wall & (wall_bins == 0)
     bare = free & (furniture_bins == 0)
     return _cropped(low, wall, furniture, free, bare)
+
+
+@njit(cache=True, nogil=True)
+def _columns_of(points, heights, bottom, top):  # type: ignore[no-untyped-def]
+    """Columns (K, 2) int64 and heights (K,) of the points whose height lies between two."""
+    columns = np.empty((len(points), 2), np.int64)
+    kept = np.empty(len(points))
+    count = 0
+    for p in range(len(points)):
+        if bottom < heights[p] < top:
+            columns[count, 0] = np.int64(np.floor(points[p, 0] / CELL + 0.5))
+            columns[count, 1] = np.int64(np.floor(points[p, 1] / CELL + 0.5))
+            kept[count] = heights[p]
+            count += 1
+    return columns[:count], kept[:count]
 
 
 def _cropped(low: NDArray[np.int64], *masks: NDArray[np.bool_]) -> StoreyLayers:

@@ -104,7 +104,9 @@ class Level:
     findings: tuple[Finding, ...]
 
 
-def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
+def estimate_level(
+    points: NDArray[np.float64], config: LevelConfig, cells: NDArray[np.float64] | None = None
+) -> Level:
     """Find the transform that makes the floors level.
 
     Floors slope and drift warps them: two parts of one real building measured 0.3° and 0.7°. So
@@ -114,6 +116,7 @@ def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
     ----------
     points : (P, 3) float64, m, input frame, P > 0, thinned to 5 cm or less
     config : LevelConfig
+    cells : (K, 3), the means of the points in cells of 0.1 m, if the caller has them
 
     Returns
     -------
@@ -125,7 +128,7 @@ def estimate_level(points: NDArray[np.float64], config: LevelConfig) -> Level:
     ExtractionError
         The layers perpendicular to another axis are so much larger that it must be the one up.
     """
-    cells = thin(points, _CELL)
+    cells = thin(points, _CELL) if cells is None else cells
     slope = np.zeros(2)
     told: tuple[Finding, ...] = ()
     if config.enabled:
@@ -327,10 +330,11 @@ def _sharpness(points, slope_x, slope_y, layer):  # type: ignore[no-untyped-def]
     count = len(points)
     heights = np.empty(count)
     scale = 1.0 / np.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y) / layer
+    low, high = np.inf, -np.inf
     for i in range(count):
         heights[i] = (points[i, 2] - slope_x * points[i, 0] - slope_y * points[i, 1]) * scale
-    low = heights.min()
-    histogram = np.zeros(int(heights.max() - low) + 2)
+        low, high = min(low, heights[i]), max(high, heights[i])
+    histogram = np.zeros(int(high - low) + 2)
     for i in range(count):
         position = heights[i] - low
         bin_below = int(position)

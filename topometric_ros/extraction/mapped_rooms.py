@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.topometric_map import NO_ROOM, OFFSET_STEPS, Storey
 from topometric_ros.voxels.grid import VoxelGrid
-from topometric_ros.voxels.index import VoxelIndex, row_at
+from topometric_ros.voxels.index import VoxelIndex, cells_to_next, row_at
 
 _TALLEST = 8.0
 """How far above floor that was not seen a ceiling or a lintel tells its room, m."""
@@ -76,7 +76,7 @@ class MappedRooms:
             return label
         cells = self.navigable[unseen]
         most = round(_TALLEST / self.grid.voxel_size)
-        over = _first_above(VoxelIndex(self.grid.coords).table, cells, most)
+        over = _first_above(self.grid.index.table, cells, most)
         z = self.grid.origin[2] + cells[:, 2] * self.grid.voxel_size
         floors = np.array([storey.floor_z for storey in self.storeys])
         ids = np.array([storey.id for storey in self.storeys])
@@ -90,7 +90,7 @@ class MappedRooms:
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
         """Row of each navigable cell in the grid, -1 where the floor was not seen: (M,) int64."""
-        return VoxelIndex(self.grid.coords).rows(self.navigable)
+        return self.grid.index.rows(self.navigable)
 
     @cached_property
     def storey(self) -> NDArray[np.int64]:
@@ -111,10 +111,10 @@ def _first_above(table, cells, most):  # type: ignore[no-untyped-def]
     """Row of the first voxel at most so many cells above each cell, -1 where there is none."""
     found = np.full(len(cells), -1, np.int64)
     for i in range(len(cells)):
-        for rise in range(1, most + 1):
-            found[i] = row_at(table, cells[i, 0], cells[i, 1], cells[i, 2] + rise)
-            if found[i] >= 0:
-                break
+        x, y, z = cells[i, 0], cells[i, 1], cells[i, 2]
+        rise = cells_to_next(table, x, y, z, 1, most)
+        if rise <= most:
+            found[i] = row_at(table, x, y, z + rise)
     return found
 
 

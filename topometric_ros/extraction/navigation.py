@@ -190,19 +190,19 @@ def navigable_volume(
     -------
     (M, 3) int32, a subset of the grid's cells in Morton order; empty if nothing can be stood on
     """
-    index = VoxelIndex(grid.coords)
     standing = grid.coords[unobstructed(grid, config) if free is None else free]
     if len(standing) == 0:
         return np.zeros((0, 3), np.int32)
     height = math.floor(config.dilation / grid.voxel_size + 0.5)
     dilated = dilate(standing, column(height))
-    component = connected_components(dilated, connectivity(config.connectivity))
-    row = index.rows(dilated)
+    volume = VoxelIndex(dilated)
+    component = connected_components(dilated, connectivity(config.connectivity), index=volume)
+    row = grid.index.rows(dilated)
     large = np.ones(component.max() + 1, bool)
     if config.keep == "all":
         voxels = np.bincount(component[row >= 0], minlength=len(large))
         large = voxels * grid.voxel_size**2 >= config.smallest_area
-    enclosure = _enclosure(dilated, component, (row >= 0) & large[component], grid, index)
+    enclosure = _enclosure(dilated, component, (row >= 0) & large[component], grid, volume)
     kept = large & (enclosure >= min(config.smallest_enclosure, enclosure.max()))
     if config.keep == "largest":
         kept &= np.cumsum(kept) == 1
@@ -268,14 +268,14 @@ def _enclosure(
     component: NDArray[np.int32],
     inside: NDArray[np.bool_],
     grid: VoxelGrid,
-    index: VoxelIndex,
+    volume: VoxelIndex,
 ) -> NDArray[np.float64]:
     """Return the share of each component's rim that something stands beside: (C,) float64.
 
     The rim are the voxels of the grid (`inside`) that the component does not go on from in one of
-    four directions; holes of a few voxels, as sparse clouds have, make no rim.
+    four directions; holes of a few voxels, as sparse clouds have, make no rim. `volume` is the
+    index of what was `dilated`.
     """
-    volume = VoxelIndex(dilated)
     reach = range(1, math.ceil(_GAP / grid.voxel_size) + 1)
     goes_on = np.ones(np.count_nonzero(inside))
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
@@ -284,7 +284,7 @@ def _enclosure(
     rim = np.flatnonzero(inside)[goes_on == 0]
     count = component.max() + 1
     rims = np.maximum(np.bincount(component[rim], minlength=count), 1)
-    something = convolve(dilated[rim], None, _beside_kernel(grid.voxel_size), "any", index)
+    something = convolve(dilated[rim], None, _beside_kernel(grid.voxel_size), "any", grid.index)
     return np.bincount(component[rim], something, count) / rims
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.extraction.columns import NOTHING, Columns
+from topometric_ros.extraction.masks import depth
 from topometric_ros.extraction.slabs import FREE, SLAB
 from topometric_ros.extraction.storeys import RASTER, StoreyConfig, StoreyHeights, find_storeys
 
@@ -137,7 +138,7 @@ def _to_walls(
     wall = voxels >= _BINS
     if not wall.any():
         return np.full(shape, float(np.hypot(*shape)) * RASTER)
-    return np.asarray(ndimage.distance_transform_edt(~wall), np.float64) * RASTER
+    return depth(~wall) * RASTER
 
 
 def _raster(cells: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -66,10 +66,9 @@ def pair_features(
     pair, saddle, cells = _saddles(extended(pieces, reach), raster.clearance)
     corner, line = _openings(raster.wall, cells)
     points, owner = _samples(raster.distance, pieces, sample_step)
-    shape = (count, count)
-    pairs, seen = _visibility(
-        raster.wall, points, owner, view_range**2, np.zeros((2, *shape), np.int64)
-    )
+    space, _ = ndimage.label(~raster.wall, np.ones((3, 3)))
+    counts = np.zeros((2, count, count), np.int64)
+    pairs, seen = _visibility(space, points, owner, view_range**2, counts)
     return PairFeatures(pair[:, 0], pair[:, 1], saddle, corner, line, peak, pairs, seen)
 
 
@@ -220,11 +219,14 @@ def _peaks(values, pieces, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _visibility(wall, points, owner, square_range, counts):  # type: ignore[no-untyped-def]
+def _visibility(space, points, owner, square_range, counts):  # type: ignore[no-untyped-def]
     """Count the pairs of points within range, and those that see each other, for every two pieces.
 
-    `counts` is (2, K, K), zero: pairs and seeing pairs, symmetric.
+    `space` (nx, ny) numbers what walls part, 0 for the walls themselves: no view leads from one
+    part to another. `counts` is (2, K, K), zero: pairs and seeing pairs, symmetric.
     """
+    flat, width = space.ravel(), space.shape[1]
+    places = points[:, 0] * width + points[:, 1]
     for one in range(len(points)):
         for other in range(one):
             dx = points[one, 0] - points[other, 0]
@@ -232,7 +234,8 @@ def _visibility(wall, points, owner, square_range, counts):  # type: ignore[no-u
             if dx * dx + dy * dy > square_range:
                 continue
             a, b = owner[one], owner[other]
-            sees = _sees(wall, points[other, 0], points[other, 1], points[one, 0], points[one, 1])
+            start, end = places[other], places[one]
+            sees = flat[start] == flat[end] and _sees(flat, width, start, end, dx, dy)
             counts[0, a, b] += 1
             counts[1, a, b] += sees
             if a != b:
@@ -242,25 +245,23 @@ def _visibility(wall, points, owner, square_range, counts):  # type: ignore[no-u
 
 
 @njit(cache=True, nogil=True)
-def _sees(wall, x, y, to_x, to_y):  # type: ignore[no-untyped-def]
-    """Whether the straight line between two cell centres meets no wall (Amanatides & Woo 1987)."""
-    dx, dy = abs(to_x - x), abs(to_y - y)
-    step_x = 1 if to_x > x else -1
-    step_y = 1 if to_y > y else -1
-    # In units of half cells over dx * dy the next crossings are integers, so no rounding decides.
-    next_x, next_y = dy, dx
-    while x != to_x or y != to_y:
-        if next_x < next_y:
-            x += step_x
-            next_x += 2 * dy
-        elif next_y < next_x:
-            y += step_y
-            next_y += 2 * dx
-        else:
-            x += step_x
-            y += step_y
-            next_x += 2 * dy
-            next_y += 2 * dx
-        if wall[x, y]:
-            return 0
-    return 1
+def _sees(space, width, at, end, dx, dy):  # type: ignore[no-untyped-def]
+    """Whether the straight line between two cells (dx, dy) apart meets no wall (Amanatides & Woo
+    1987); `space` and the cells are flat, in rows of `width`."""
+    step_x = width if dx > 0 else -width
+    step_y = 1 if dy > 0 else -1
+    dx, dy = abs(dx), abs(dy)
+    # By how much the next crossing in x comes after that in y, in units of half cells over
+    # dx * dy: an integer, so no rounding decides.
+    later = dy - dx
+    while at != end:
+        along_x, along_y = later <= 0, later >= 0
+        if along_x:
+            at += step_x
+            later += 2 * dy
+        if along_y:
+            at += step_y
+            later -= 2 * dx
+        if space[at] == 0:
+            return False
+    return True

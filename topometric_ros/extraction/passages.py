@@ -16,7 +16,6 @@ from topometric_ros.extraction.stairs import StairsConfig, find_stairs
 from topometric_ros.topometric_map import NO_ROOM, Passage, Storey
 from topometric_ros.voxels.components import connected_components
 from topometric_ros.voxels.grid import VoxelGrid
-from topometric_ros.voxels.index import VoxelIndex
 from topometric_ros.voxels.kernels import kernel_of
 
 _FLOOR = 0.25
@@ -99,7 +98,7 @@ def find_passages(
     passages ordered by their rooms' ids, then the largest contact first; positions in m, level
     frame
     """
-    rows = VoxelIndex(grid.coords).rows(navigable)
+    rows = grid.index.rows(navigable)
     label = np.where(rows >= 0, room[rows], NO_ROOM).astype(np.int32)
     return tuple(
         _plain_passage(contact, grid.voxel_size, config)

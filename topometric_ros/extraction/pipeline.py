@@ -29,7 +29,7 @@ from topometric_ros.extraction.storeys import RASTER
 from topometric_ros.extraction.viewpoints import viewpoints
 from topometric_ros.stopwatch import Stopwatch
 from topometric_ros.topometric_map import Storey, TopometricMap, triple
-from topometric_ros.voxels.grid import in_morton_order, surface_offsets
+from topometric_ros.voxels.grid import in_morton_order, offsets_of_means
 
 logger = logging.getLogger(__name__)
 
@@ -95,7 +95,7 @@ def extract(
     room, eyes = _rooms(scene, navigable, config, classifier, watch)
     with watch.stage("layers"):
         storeys = _map_storeys(scene, config)
-        offsets = surface_offsets(scene.points, grid, scene.cell_of_point)
+        offsets = offsets_of_means(scene.means_of_grid, grid)
     storey = scene.per_voxel(scene.storey_of_raster)
     storey_of_room = storeys_of_rooms(room, storey)
     found = MappedRooms(

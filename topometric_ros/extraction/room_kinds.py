@@ -20,6 +20,7 @@ from scipy import ndimage
 
 from topometric_ros.configuration import parameter
 from topometric_ros.errors import ConfigurationError
+from topometric_ros.extraction.masks import depth
 from topometric_ros.topometric_map import ROOM_KINDS
 
 _LARGE, _WIDE = 50.0, 4.0
@@ -227,7 +228,7 @@ def typical_width(floor: NDArray[np.bool_], cell: float) -> float:
     inside = np.pad(floor, 1)
     if not inside.any():
         return 0.0
-    return float(4.0 * np.asarray(ndimage.distance_transform_edt(inside))[inside].mean() * cell)
+    return float(4.0 * depth(inside)[inside].mean() * cell)
 
 
 def room_kind(area: float, width: float, neighbours: int, stairs: int) -> tuple[str, float]:

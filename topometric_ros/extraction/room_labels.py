@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import ndimage
+
+from topometric_ros.extraction.masks import BESIDE, closed
 
 _PARTS = 2
 """Fine cells along the edge of a cell."""
@@ -45,7 +46,7 @@ def label_points(
     """
     labels = _twice(regions)
     fine, faces, wanted = _on_fine_cells(places, upright, labels.shape)
-    blocked = ndimage.binary_closing(faces >= _FEWEST, np.ones((3, 3)))
+    blocked = closed(faces >= _FEWEST, BESIDE)
     labels = _grown(labels, _twice(wall) & ~blocked)
     nearest = _nearest(labels, wanted, reach * _PARTS)
     found: NDArray[np.int32] = nearest.ravel()[fine]

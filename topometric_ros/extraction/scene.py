@@ -22,7 +22,7 @@ from topometric_ros.extraction.storeys import (
     assign_storeys,
 )
 from topometric_ros.stopwatch import Stopwatch
-from topometric_ros.voxels.grid import VoxelGrid, thin, voxelise
+from topometric_ros.voxels.grid import VoxelGrid, means, thin, voxelise
 
 _FINEST_LAYERS = 0.05
 """The rasters of storeys are made of points thinned to at most this cell (m)."""
@@ -51,8 +51,8 @@ class Scene:
     """(P,), the same in `raster`."""
     columns: Columns
     """The voxels of `raster` by columns."""
-    heights: NDArray[np.float64]
-    """(R,), the mean height of each voxel's points."""
+    means: NDArray[np.float64]
+    """(R, 3), the mean of each voxel's points."""
     storeys: tuple[StoreyHeights, ...]
     """From below."""
     storey_of_raster: NDArray[np.int32]
@@ -62,6 +62,18 @@ class Scene:
     def columns_of_grid(self) -> Columns | None:
         """The voxels of `grid` by columns where they are at hand, else None."""
         return self.columns if self.cell_of_point is self.raster_of_point else None
+
+    @property
+    def heights(self) -> NDArray[np.float64]:
+        """The mean height of the points of each 0.1 m voxel: (R,), m."""
+        return _heights(self.means)
+
+    @property
+    def means_of_grid(self) -> NDArray[np.float64]:
+        """The mean of the points of each voxel of `grid`: (N, 3), m."""
+        if self.cell_of_point is self.raster_of_point:
+            return self.means
+        return means(self.points, self.cell_of_point, len(self.grid))
 
     def per_voxel(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
         """Carry labels (R,) of the 0.1 m voxels over to the map's voxels: (N,) int32."""
@@ -93,17 +105,22 @@ def make_scene(
             points = thin(points, min(config.voxel_size / 2, _FINEST_LAYERS))
         points, islands = without_islands(points)
     with watch.stage("level"):
-        level = _level(points, T_level_input, config)
+        voxels = None if T_level_input is not None else _voxels(points, np.zeros(3))
+        level = _level(points, T_level_input, config, voxels)
         R = level.T_level_input[:3, :3]
         if not np.array_equal(R, np.eye(3)):
-            points = points @ R.T
+            points, voxels = points @ R.T, None
     with watch.stage("storeys"):
         lattice = np.zeros(3) if origin is None else np.array(origin, np.float64)
-        raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
+        if voxels is None or origin is not None:
+            voxels = _voxels(points, lattice)
+        columns, storeys = _storeys(points, voxels, config)
         if origin is None:
             lattice[2] = refine_floor(points, storeys[0].floor, config.layers)
-            raster, raster_of_point, columns, heights, storeys = _storeys(points, lattice, config)
-        storey_of_raster = assign_storeys(columns, heights, storeys)
+            voxels = _voxels(points, lattice)
+            columns, storeys = _storeys(points, voxels, config)
+        raster, raster_of_point, mean = voxels
+        storey_of_raster = assign_storeys(columns, _heights(mean), storeys)
     with watch.stage("voxelise"):
         if config.voxel_size == RASTER:
             grid, cell_of_point = raster, raster_of_point
@@ -122,10 +139,23 @@ def make_scene(
         raster,
         raster_of_point,
         columns,
-        heights,
+        mean,
         storeys,
         storey_of_raster,
     )
+
+
+_Voxels = tuple[VoxelGrid, NDArray[np.int64], NDArray[np.float64]]
+
+
+def _voxels(points: NDArray[np.float64], lattice: NDArray[np.float64]) -> _Voxels:
+    """Return the 0.1 m voxels of points, the voxel of each point and the mean of each voxel."""
+    raster, raster_of_point = voxelise(points, RASTER, lattice)
+    return raster, raster_of_point, means(points, raster_of_point, len(raster))
+
+
+def _heights(mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.ascontiguousarray(mean[:, 2])
 
 
 def _middle(
@@ -141,24 +171,24 @@ def _level(
     points: NDArray[np.float64],
     T_level_input: NDArray[np.float64] | None,
     config: ExtractionConfig,
+    voxels: _Voxels | None,
 ) -> Level:
     """Estimate how the cloud lies, or take what an earlier map of the session found."""
     if T_level_input is None:
-        return estimate_level(points, config.level)
+        return estimate_level(points, config.level, None if voxels is None else voxels[2])
     T = np.array(T_level_input, np.float64)
     tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
     return Level(T, tilt, tilt_findings(tilt))
 
 
 def _storeys(
-    points: NDArray[np.float64], lattice: NDArray[np.float64], config: ExtractionConfig
-) -> tuple[VoxelGrid, NDArray[np.int64], Columns, NDArray[np.float64], tuple[StoreyHeights, ...]]:
-    """Put points into 0.1 m voxels and find the storeys; raises ExtractionError without a floor."""
-    raster, raster_of_point = voxelise(points, RASTER, lattice)
-    columns = sort_columns(raster.coords)
-    count = np.bincount(raster_of_point)
-    heights = np.bincount(raster_of_point, weights=points[:, 2]) / count
-    columns, storeys = storeys_without_overhead(columns, heights, float(lattice[2]), config.storeys)
+    points: NDArray[np.float64], voxels: _Voxels, config: ExtractionConfig
+) -> tuple[Columns, tuple[StoreyHeights, ...]]:
+    """Sort voxels into columns, find the storeys; raises ExtractionError without a floor."""
+    raster, _, mean = voxels
+    columns, storeys = storeys_without_overhead(
+        sort_columns(raster.coords), _heights(mean), float(raster.origin[2]), config.storeys
+    )
     if not storeys:
         raise no_floor(points, config.level)
-    return raster, raster_of_point, columns, heights, storeys
+    return columns, storeys

@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from topometric_ros.extraction.columns import NOTHING, Columns, sort_columns
-from topometric_ros.voxels.grid import bounds, thin, voxelise
+from topometric_ros.voxels.grid import bounds, means, thin, voxelise
 
 _BLOCK = 0.3
 """Edge in m of the blocks in which a plane is fitted to the points."""
@@ -112,24 +113,17 @@ def fit_planes(points: NDArray[np.float64], height: float = _BLOCK) -> Planes:
     points : (P, 3) float64, m, thinned to 5 cm or less, P > 0
     height : m, of the blocks
     """
-    block = np.floor(points / (_BLOCK, _BLOCK, height)).astype(np.int64)
-    low, high = bounds(block)
-    block -= low
+    edges = np.array([_BLOCK, _BLOCK, height])
+    low, high = np.floor(bounds(points) / edges).astype(np.int64)
     size = high - low + 1
-    key = (block[:, 0] * size[1] + block[:, 1]) * size[2] + block[:, 2]
+    key = _blocks(points, edges, low, size)
     stride = -(-len(points) // _MOST_POINTS)
     if stride > 1:
         # Whole blocks, spread over the cloud: Knuth's multiplicative hash of their place.
         chosen = ((key * 2_654_435_761) >> 16) % stride == 0
         points, key = points[chosen], key[chosen]
     of_point, counts = _numbered(key, int(size.prod()))
-    mean = np.stack([np.bincount(of_point, points[:, i]) for i in range(3)], 1) / counts[:, None]
-    centred = points - mean[of_point]
-    spread = np.empty((len(counts), 3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            product = np.bincount(of_point, centred[:, i] * centred[:, j]) / counts
-            spread[:, i, j] = spread[:, j, i] = product
+    spread = _covariances(points, of_point, means(points, of_point, len(counts)), counts)
     enough = counts >= _FEWEST_IN_BLOCK
     values, vectors = np.linalg.eigh(spread[enough])
     measured = float(counts[enough].sum() / max(1, counts.sum()))
@@ -144,6 +138,35 @@ def _numbered(key: NDArray[np.int64], keys: int) -> tuple[NDArray[np.int64], NDA
         return of_point.reshape(-1), counts
     every = np.bincount(key, minlength=1)
     return (np.cumsum(every > 0) - 1)[key], every[every > 0]
+
+
+@njit(cache=True, nogil=True)
+def _blocks(points, edges, low, size):  # type: ignore[no-untyped-def]
+    """Flat number of the block that holds each point, of `size` (3,) blocks from `low` on: (P,)."""
+    keys = np.zeros(len(points), np.int64)
+    for p in range(len(points)):
+        for axis in range(3):
+            block = np.int64(np.floor(points[p, axis] / edges[axis])) - low[axis]
+            keys[p] = keys[p] * size[axis] + block
+    return keys
+
+
+@njit(cache=True, nogil=True)
+def _covariances(points, of_point, mean, counts):  # type: ignore[no-untyped-def]
+    """Covariance of the points of each block: (B, 3, 3)."""
+    spread = np.zeros((len(counts), 3, 3))
+    for p in range(len(points)):
+        block = of_point[p]
+        for i in range(3):
+            for j in range(i, 3):
+                product = (points[p, i] - mean[block, i]) * (points[p, j] - mean[block, j])
+                spread[block, i, j] += product
+    for block in range(len(counts)):
+        for i in range(3):
+            for j in range(i, 3):
+                spread[block, i, j] /= counts[block]
+                spread[block, j, i] = spread[block, i, j]
+    return spread
 
 
 def measure_surfaces(planes: Planes) -> Surfaces:

@@ -17,7 +17,6 @@ from topometric_ros.extraction.similarity import SimilarityConfig, cluster_visib
 from topometric_ros.extraction.visibility import VisibilityConfig, visibilities
 from topometric_ros.topometric_map import NO_ROOM
 from topometric_ros.voxels.grid import VoxelGrid
-from topometric_ros.voxels.index import VoxelIndex
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,5 @@ def segment(
         return np.full(len(grid), NO_ROOM, np.int32)
     sets = visibilities(grid, viewpoints, config.visibility)
     labels = vote(sets, cluster_visibilities(sets, config.similarity))
-    index = VoxelIndex(grid.coords)
-    labels = propagate_labels(grid.coords, labels, config.propagation, index)
-    return split_rooms(grid.coords, labels, config.propagation, index)
+    labels = propagate_labels(grid.coords, labels, config.propagation, grid.index)
+    return split_rooms(grid.coords, labels, config.propagation, grid.index)

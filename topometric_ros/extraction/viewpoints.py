@@ -300,14 +300,13 @@ def _lifted(
 ) -> NDArray[np.float64]:
     """Return eyes above voxels, raised out of occupied cells, without those that stay inside."""
     centres = grid.origin + standing * grid.voxel_size
-    index = VoxelIndex(grid.coords)
     result = np.zeros_like(centres)
     seeing = np.zeros(len(centres), bool)
     rises = max(0, math.floor((config.height_limit - config.height) / grid.voxel_size + 1e-9))
     for rise in range(rises + 1):
         lift = config.height + rise * grid.voxel_size
         cells = standing + (0, 0, math.floor(lift / grid.voxel_size + 0.5))
-        free = ~seeing & (index.rows(cells) < 0)
+        free = ~seeing & (grid.index.rows(cells) < 0)
         result[free] = centres[free] + (0.0, 0.0, lift)
         seeing |= free
     return result[seeing]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from topometric_ros.configuration import parameter
 from topometric_ros.voxels.grid import VoxelGrid
-from topometric_ros.voxels.index import VoxelIndex, bit_count
+from topometric_ros.voxels.index import bit_count
 from topometric_ros.voxels.raycast import STEPS, seen_rows
 
 _TOLERANCE = 1e-9
@@ -69,7 +69,7 @@ def visibilities(
     positions = (np.asarray(viewpoints, np.float64).reshape(-1, 3) - grid.origin) / grid.voxel_size
     starts = np.floor(positions * STEPS + 0.5).astype(np.int64)
     words = _views(
-        VoxelIndex(grid.coords).table,
+        grid.index.table,
         grid.coords,
         starts,
         config.radius / grid.voxel_size + _TOLERANCE,

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.configuration import parameter
 from topometric_ros.extraction.columns import Columns
+from topometric_ros.extraction.masks import BESIDE, closed, depth, dilated, opened
 from topometric_ros.extraction.storeys import RASTER, StoreyHeights
 from topometric_ros.voxels.grid import bounds
 
@@ -107,63 +107,6 @@ class StoreyRaster:
     clearance: NDArray[np.float64]
 
 
-def dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """Grow a mask by a disk of `radius` cells."""
-    if not mask.any():
-        return mask.copy()
-    grown: NDArray[np.bool_] = _stamped(mask, *_disk(radius))
-    return grown
-
-
-def eroded(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """Shrink a mask by a disk of `radius` cells; what lies beyond the raster counts as set."""
-    return ~dilated(~mask, radius)
-
-
-def _disk(radius: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the offsets of the cells within `radius` of one: x and y, each (K,)."""
-    line = np.arange(-int(radius), int(radius) + 1)
-    x, y = (part.ravel() for part in np.meshgrid(line, line, indexing="ij"))
-    inside = np.sqrt(x * x + y * y) <= radius
-    return x[inside], y[inside]
-
-
-@njit(cache=True, nogil=True)
-def _stamped(mask, x, y):  # type: ignore[no-untyped-def]
-    """Lay a disk on every cell of a mask's rim: (nx, ny) bool."""
-    nx, ny = mask.shape
-    result = mask.copy()
-    for i in range(nx):
-        for j in range(ny):
-            if not mask[i, j]:
-                continue
-            # Within the mask the disks of the cells round it reach as far.
-            if (
-                0 < i < nx - 1
-                and 0 < j < ny - 1
-                and mask[i - 1, j]
-                and mask[i + 1, j]
-                and mask[i, j - 1]
-                and mask[i, j + 1]
-            ):
-                continue
-            for k in range(len(x)):
-                a, b = i + x[k], j + y[k]
-                if 0 <= a < nx and 0 <= b < ny:
-                    result[a, b] = True
-    return result
-
-
-def closed(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """Close the gaps of a mask that a disk of `radius` cells does not fit into."""
-    return eroded(dilated(mask, radius), radius)
-
-
-def opened(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """Remove what of a mask a disk of `radius` cells does not fit into."""
-    return dilated(eroded(mask, radius), radius)
-
-
 def storey_raster(
     columns: Columns,
     heights: NDArray[np.float64],
@@ -189,15 +132,14 @@ def storey_raster(
     low, high = bounds(cells)
     low -= MARGIN
     shape = tuple(high - low + 1 + MARGIN)
-    cells -= low
+    flat = np.ravel_multi_index(tuple((cells - low).T), shape)
     above_floor = heights[members] - storey.floor
 
     def count(bottom: float, top: float, of: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         inside = (above_floor >= bottom) & (above_floor <= top)
         if of is not None:
             inside &= of
-        flat = np.ravel_multi_index(tuple(cells[inside].T), shape)
-        return np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
+        return np.bincount(flat[inside], minlength=shape[0] * shape[1]).reshape(shape)
 
     height = storey.ceiling - storey.floor
     bottom = min(config.band_bottom, height - config.band_height)
@@ -207,12 +149,12 @@ def storey_raster(
     if config.sloped_roofs:
         treads = count(bottom, height - _TOP, columns.above[members] > _HEADROOM) > 0
         support = count(0.3, 1.5) >= config.roof_support
-        flight = opened(closed(treads, 1) & ~ndimage.binary_dilation(support, _EIGHT), closing)
+        flight = opened(closed(treads, 1) & ~dilated(support, BESIDE), closing)
         wall = _without_roofs(wall, support, flight, closing)
     else:
         wall = closed(wall, closing)
     observed = np.zeros(shape, bool)
-    observed[tuple(cells.T)] = True
+    observed.ravel()[flat] = True
     return _raster(columns.corner + low, observed, wall, flight, config)
 
 
@@ -230,7 +172,7 @@ def _raster(
     wall = _without_pillars(wall, ground, np.round(sizes / RASTER))
     domain = ground & ~wall
     inside = (domain | dilated(wall, 2)) & ~wall
-    distance = np.asarray(ndimage.distance_transform_edt(inside))
+    distance = depth(inside)
     return StoreyRaster(corner, observed, wall, domain, distance, clearance(wall))
 
 
@@ -238,7 +180,7 @@ def clearance(wall: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return how far the nearest wall is from every cell: (nx, ny) float64, cells, at most 30."""
     if not wall.any():
         return np.full(wall.shape, _OPEN)
-    return np.minimum(ndimage.distance_transform_edt(~wall), _OPEN)
+    return np.minimum(depth(~wall), _OPEN)
 
 
 def _without_pillars(
@@ -271,7 +213,7 @@ def _without_roofs(
     nothing and hangs together with it, or with a flight of stairs, goes too, 0.6 m far.
     """
     wall = closed(seen, radius)
-    hanging = wall & ~ndimage.binary_dilation(support, _EIGHT)
+    hanging = wall & ~dilated(support, BESIDE)
     around = ndimage.uniform_filter(hanging.astype(float), _AROUND, mode="constant") * _AROUND**2
     core = opened(wall, radius) & ~dilated(support, _INSIDE) & (around >= _ROOF)
     core |= flight & wall

@@ -52,13 +52,9 @@ def connected_components(
 
 def _once(offsets: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return offsets of which one of each two opposite ones is left out."""
-    all_ = {tuple(offset) for offset in offsets.tolist()}
-    kept = [
-        offset
-        for offset in offsets.tolist()
-        if tuple(offset) > (0, 0, 0) or tuple(-v for v in offset) not in all_
-    ]
-    return np.array(kept, np.int32).reshape(-1, 3)
+    x, y, z = offsets.T
+    forth = (x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z > 0))))
+    return offsets[forth | ~np.isin(morton_encode(-offsets), morton_encode(offsets))]
 
 
 @njit(cache=True, nogil=True)
@@ -97,6 +93,7 @@ def _join(table, coords, offsets, labels):  # type: ignore[no-untyped-def]
     for i in range(len(coords)):
         if labels[i] < 0:
             continue
+        a = _root(parent, i)
         for k in range(len(offsets)):
             j = row_at(
                 table,
@@ -104,12 +101,11 @@ def _join(table, coords, offsets, labels):  # type: ignore[no-untyped-def]
                 coords[i, 1] + offsets[k, 1],
                 coords[i, 2] + offsets[k, 2],
             )
-            if j < 0 or labels[j] != labels[i]:
+            if j < 0 or labels[j] != labels[i] or parent[j] == a:
                 continue
-            a = _root(parent, i)
             b = _root(parent, j)
-            if a != b:
-                parent[max(a, b)] = min(a, b)
+            parent[max(a, b)] = min(a, b)
+            a = min(a, b)
     for i in range(len(coords)):
         parent[i] = _root(parent, i)
     return parent

@@ -7,6 +7,7 @@ centres `origin + k * voxel_size`, and coordinates may be negative, so new space
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -14,7 +15,14 @@ from numpy.typing import NDArray
 
 from topometric_ros.errors import TopometricError
 from topometric_ros.topometric_map import OFFSET_STEPS
-from topometric_ros.voxels.index import EMPTY, bit_count, brick_key, cell_in_brick, slot_of
+from topometric_ros.voxels.index import (
+    EMPTY,
+    VoxelIndex,
+    bit_count,
+    brick_key,
+    cell_in_brick,
+    slot_of,
+)
 from topometric_ros.voxels.morton import check_limit, morton_code, morton_decode, morton_encode
 
 
@@ -32,6 +40,11 @@ class VoxelGrid:
 
     def __len__(self) -> int:
         return len(self.coords)
+
+    @cached_property
+    def index(self) -> VoxelIndex:
+        """Row of each cell by its coordinates, made when it is first asked for."""
+        return VoxelIndex(self.coords)
 
     def centres(self) -> NDArray[np.float64]:
         """Return the cell centres: (N, 3) float64, m (eq. 5)."""
@@ -88,16 +101,14 @@ def in_morton_order(coords: NDArray[np.integer]) -> NDArray[np.int32]:
 
 @njit(cache=True, nogil=True)
 def bounds(points):  # type: ignore[no-untyped-def]
-    """Lowest and highest coordinates of points or cells (N, K), N > 0, in one pass: (2, K)."""
+    """Lowest and highest coordinates of points or cells (N, K), N > 0: (2, K)."""
     result = np.empty((2, points.shape[1]), points.dtype)
-    result[0] = result[1] = points[0]
-    for i in range(len(points)):
-        for axis in range(points.shape[1]):
-            value = points[i, axis]
-            if value < result[0, axis]:
-                result[0, axis] = value
-            elif value > result[1, axis]:
-                result[1, axis] = value
+    for axis in range(points.shape[1]):
+        low = high = points[0, axis]
+        for i in range(1, len(points)):
+            low = min(low, points[i, axis])
+            high = max(high, points[i, axis])
+        result[0, axis], result[1, axis] = low, high
     return result
 
 
@@ -108,10 +119,24 @@ def surface_offsets(
 
     The unit is a quarter of the voxel's edge, from the cell's centre, rounded down.
     """
-    total = _sums(points, cell_of_point, len(grid))
-    mean = total[:, :3] / total[:, 3:]
-    steps = np.floor((mean - grid.centres()) / grid.voxel_size * OFFSET_STEPS)
-    return np.clip(steps, -OFFSET_STEPS // 2, OFFSET_STEPS // 2 - 1).astype(np.int8)
+    return offsets_of_means(means(points, cell_of_point, len(grid)), grid)
+
+
+def offsets_of_means(mean: NDArray[np.float64], grid: VoxelGrid) -> NDArray[np.int8]:
+    """Return what :func:`surface_offsets` does of the mean (N, 3), m, of each cell's points."""
+    offsets: NDArray[np.int8] = _steps(mean, grid.coords, grid.origin, grid.voxel_size)
+    return offsets
+
+
+@njit(cache=True, nogil=True)
+def _steps(mean, coords, origin, voxel_size):  # type: ignore[no-untyped-def]
+    steps = np.empty(coords.shape, np.int8)
+    for row in range(len(coords)):
+        for axis in range(3):
+            centre = origin[axis] + coords[row, axis] * voxel_size
+            step = np.floor((mean[row, axis] - centre) / voxel_size * OFFSET_STEPS)
+            steps[row, axis] = min(max(step, -OFFSET_STEPS // 2), OFFSET_STEPS // 2 - 1)
+    return steps
 
 
 def thin(points: NDArray[np.float64], cell: float) -> NDArray[np.float64]:
@@ -121,19 +146,22 @@ def thin(points: NDArray[np.float64], cell: float) -> NDArray[np.float64]:
     many others there are.
     """
     grid, cell_of_point = voxelise(points, cell, np.zeros(3))
-    total = _sums(points, cell_of_point, len(grid))
-    return total[:, :3] / total[:, 3:]
+    return means(points, cell_of_point, len(grid))
 
 
 @njit(cache=True, nogil=True)
-def _sums(points, cell_of_point, cells):  # type: ignore[no-untyped-def]
-    """Sum of coordinates and number of points of each cell: (cells, 4)."""
-    total = np.zeros((cells, 4))
+def means(points, cell_of_point, cells):  # type: ignore[no-untyped-def]
+    """Mean (cells, 3) of the points (P, 3) of each cell, of which none is empty."""
+    total = np.zeros((cells, 3))
+    count = np.zeros(cells)
     for i in range(len(points)):
         row = cell_of_point[i]
         for axis in range(3):
             total[row, axis] += points[i, axis]
-        total[row, 3] += 1.0
+        count[row] += 1.0
+    for row in range(cells):
+        for axis in range(3):
+            total[row, axis] /= count[row]
     return total
 
 

@@ -151,6 +151,19 @@ def row_at(table, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def cells_to_next(table, x, y, z, way, most):  # type: ignore[no-untyped-def]
+    """Cells from (x, y, z) up (`way` 1) or down (-1) to the next occupied one; most + 1: none."""
+    mask = np.uint64(0)
+    for step in range(1, most + 1):
+        height = z + way * step
+        if step == 1 or height & 3 == (0 if way > 0 else 3):  # where another brick begins
+            mask = table[1][brick_slot(table, x, y, height)]
+        if (mask >> np.uint64(cell_in_brick(x, y, height))) & np.uint64(1):
+            return step
+    return most + 1
+
+
+@njit(cache=True, nogil=True)
 def _rows(table, coords):  # type: ignore[no-untyped-def]
     rows = np.empty(len(coords), np.int64)
     for i in range(len(coords)):

@@ -36,11 +36,15 @@ def morton_code(x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _codes(coords):  # type: ignore[no-untyped-def]
+    """Return the codes (N,) of cells, and the lowest and the highest of all coordinates and 0."""
     codes = np.empty(len(coords), np.uint64)
+    low, high = np.int64(0), np.int64(0)
     for i in range(len(coords)):
         x, y, z = np.int64(coords[i, 0]), np.int64(coords[i, 1]), np.int64(coords[i, 2])
+        low = min(low, x, y, z)
+        high = max(high, x, y, z)
         codes[i] = morton_code(x, y, z)
-    return codes
+    return codes, low, high
 
 
 @njit(cache=True, nogil=True)
@@ -87,10 +91,9 @@ def morton_encode(coords: NDArray[np.integer]) -> NDArray[np.uint64]:
     >>> (codes - codes[0]).tolist()
     [0, 1, 2]
     """
-    coords = np.asarray(coords).reshape(-1, 3)
-    if coords.size:
-        check_limit(int(coords.min()), int(coords.max()))
-    codes: NDArray[np.uint64] = _codes(coords)
+    codes: NDArray[np.uint64]
+    codes, low, high = _codes(np.asarray(coords).reshape(-1, 3))
+    check_limit(low, high)
     return codes
 
 
