@@ -172,6 +172,26 @@ def test_what_is_no_bag_is_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+def test_metadata_of_another_kind_is_one_line(tmp_path: Path) -> None:
+    path = write_map_bag(tmp_path / "b", {"/cloud": POINTS}) / "metadata.yaml"
+    right = path.read_text()
+    for field, text in (("name: /cloud", "name: 7"), ("message_count: 1", "message_count: a")):
+        assert field in right
+        path.write_text(right.replace(field, text))
+        with pytest.raises(BagError, match="not a readable bag") as caught, Bag(path.parent) as bag:
+            bag.topics()
+        assert "\n" not in str(caught.value)
+
+
+def test_a_record_larger_than_memory_is_one_line(tmp_path: Path) -> None:
+    path = write_map_bag(tmp_path / "b", {"/cloud": POINTS}) / "b.mcap"
+    damaged = bytearray(path.read_bytes())
+    damaged[9:17] = (1 << 62).to_bytes(8, "little")  # the length of the first record
+    path.write_bytes(bytes(damaged))
+    with pytest.raises(BagError, match="not a readable bag"), Bag(path):
+        pass
+
+
 def test_damage_inside_a_message_is_one_line(tmp_path: Path) -> None:
     path = write_map_bag(tmp_path / "b", {"/cloud": POINTS})
     damaged = bytearray((path / "b.mcap").read_bytes())

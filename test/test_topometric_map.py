@@ -50,6 +50,8 @@ def test_centres_and_surface_lie_on_the_lattice_to_half_a_voxel():
     ("change", "said"),
     [
         ({"schema": "topometric-map/9"}, "topometric-map/9"),
+        ({"agent": "a\nb"}, "agent: expected a name without control characters"),
+        ({"frame_id": "\x1b[2Jmap"}, "frame_id"),
         ({"voxel_size": 0.0}, "voxel_size"),
         ({"origin": (np.nan, 0.0, 0.0)}, "origin"),
         ({"room": np.array([0, 3], np.int32)}, r"\[3\]"),

@@ -33,7 +33,7 @@ from topometric_ros.visualization.view import (
 from topometric_ros.visualization.view_page import view_html
 from topometric_ros.voxels.grid import surface_offsets, voxelise
 
-HOSTILE = "</script><b>bob"
+HOSTILE = "</script><!--<script><b>bob"
 
 
 def two_rooms() -> TopometricMap:

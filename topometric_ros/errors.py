@@ -19,4 +19,6 @@ class ConfigurationError(TopometricError):
 def one_line(error: BaseException) -> str:
     """Return what another library says on one line, cut where it is long; its name if nothing."""
     text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, KeyError):
+        text = f"{text} is missing"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."

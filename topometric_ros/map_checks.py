@@ -6,6 +6,7 @@ what `check_map` lets through can be used without further questions.
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,9 @@ LARGEST_POSITION = 1e9
 CELL_EDGES = (1e-3, 100.0)
 """m: the smallest and the largest edge of a voxel or of a raster's cell."""
 
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+"""What would break lines of a log and steer terminals."""
+
 
 class MapError(TopometricError):
     """A topometric map whose parts contradict each other."""
@@ -37,6 +41,9 @@ def check_map(m: TopometricMap) -> None:
     """Raise MapError where the parts of a map contradict each other."""
     if m.schema != SCHEMA:
         raise MapError(f"unknown schema {m.schema!r}; this version reads {SCHEMA!r}")
+    for name in ("agent", "session", "frame_id"):
+        if _CONTROL.search(value := getattr(m, name)):
+            raise MapError(f"{name}: expected a name without control characters, got {value!r}")
     if not CELL_EDGES[0] <= m.voxel_size <= CELL_EDGES[1]:
         raise MapError(
             f"voxel_size: expected {CELL_EDGES[0]:g} to {CELL_EDGES[1]:g} m, got {m.voxel_size}"

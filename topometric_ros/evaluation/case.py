@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.configuration import with_values
-from topometric_ros.errors import TopometricError
+from topometric_ros.errors import TopometricError, one_line
 from topometric_ros.simulation.case import Case, SimulatedAgent
 from topometric_ros.simulation.case_files import read_case
 
@@ -116,7 +116,9 @@ def _truth(folder: Path) -> dict[str, Any]:
         truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         truth["plan"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise EvaluationCaseError(f"{folder / 'truth.json'}: names no plan: {error!r}") from error
+        raise EvaluationCaseError(
+            f"{folder / 'truth.json'}: names no plan: {one_line(error)}"
+        ) from error
     return truth
 
 

@@ -41,7 +41,7 @@ _zstd = importlib.import_module(
 )
 _FAILURES = (
     *(ReaderError, SerdeError, sqlite3.Error, OSError, EOFError, struct.error),
-    *(_zstd.ZstdError, RuntimeError),
+    *(_zstd.ZstdError, RuntimeError, MemoryError),
     *(ValueError, KeyError, IndexError, TypeError, AssertionError, OverflowError),
 )
 """What rosbags raises on damaged input, besides its own errors: it trusts sizes and offsets."""
@@ -262,4 +262,9 @@ def _open(path: Path) -> Reader:
         reader.open()
     except _FAILURES as error:
         raise BagError(f"{path}: not a readable bag: {one_line(error)}") from error
+    for connection in reader.connections:  # As metadata.yaml has them, of any type.
+        texts = (connection.topic, connection.msgtype, connection.digest or "")
+        if not all(isinstance(text, str) for text in texts) or type(connection.msgcount) is not int:
+            told = f"expected a topic's name, type and number of messages, got {texts[:2]}"
+            raise BagError(f"{path}: not a readable bag: {told} and {connection.msgcount!r}")
     return reader

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.errors import one_line
 from topometric_ros.io.map_format import MapFileError, Section, decode, encode, read_container
 from topometric_ros.io.packing import PackingError
 from topometric_ros.io.summaries import (
@@ -147,7 +148,7 @@ def decode_map(
     except MapError as error:
         raise MapFileError(f"{source}: {error}") from error
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise MapFileError(f"{source}: the header makes no sense: {error!r}") from error
+        raise MapFileError(f"{source}: the header makes no sense: {one_line(error)}") from error
     if observed_by is not None and observed_by.shape != topometric_map.room.shape:
         raise MapFileError(
             f"{source}: observed_by: expected {topometric_map.room.shape}, got {observed_by.shape}"

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.errors import TopometricError
+from topometric_ros.errors import TopometricError, one_line
 from topometric_ros.io.packing import (
     MAXIMUM_ITEMS,
     PackingError,
@@ -133,7 +133,7 @@ def decode(data: bytes, source: str) -> tuple[dict[str, Any], dict[str, NDArray[
         fields = json.loads(header)
         arrays = _read_sections(fields.pop("sections"), data, _PREFIX.size + size, source)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise MapFileError(f"{source}: the header makes no sense: {error!r}") from error
+        raise MapFileError(f"{source}: the header makes no sense: {one_line(error)}") from error
     return fields, arrays
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from topometric_ros.errors import one_line
 from topometric_ros.io.pointcloud2 import CloudError, require_memory
 from topometric_ros.io.text import table_of_text
 
@@ -90,7 +91,7 @@ def _parse_header(path: Path, start: bytes) -> _Header:
         kinds = [_TYPES[letter + size] for letter, size in zip(letters, sizes, strict=True)]
         fields = tuple(zip(names, kinds, repeats, strict=True))
     except (KeyError, IndexError, ValueError) as error:
-        raise CloudError(f"{path}: not a PCD header: {error!r}") from error
+        raise CloudError(f"{path}: not a PCD header: {one_line(error)}") from error
     if count < 0 or min(repeats) < 1 or max(repeats) > _LONGEST_HEADER:
         raise CloudError(f"{path}: not a PCD header: {count} points, COUNT {repeats}")
     return _Header(fields, count, encoding, body)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.errors import TopometricError
+from topometric_ros.errors import TopometricError, one_line
 from topometric_ros.io.summaries import write_atomically
 
 SCHEMA = "topometric-trajectories/1"
@@ -91,7 +91,7 @@ def read_trajectories(path: Path) -> tuple[AgentTrajectory, ...]:
             raise ValueError(f"schema: expected {SCHEMA}, got {content['schema']!r}")
         return tuple(_trajectory(entry) for entry in content["agents"])
     except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
-        raise TrajectoryError(f"{source}: not a file of trajectories: {error!r}") from error
+        raise TrajectoryError(f"{source}: not a file of trajectories: {one_line(error)}") from error
 
 
 def trajectory_of(path: Path, agent: str) -> AgentTrajectory | None:

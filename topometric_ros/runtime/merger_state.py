@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Basis, RoomMatch
+from topometric_ros.errors import one_line
 from topometric_ros.fusion.merge import MOST_AGENTS
 from topometric_ros.io.map_files import decode_map, encode_map
 from topometric_ros.io.map_format import MapFileError, Section, decode, encode, read_container
@@ -155,7 +156,7 @@ def load_state(path: Path) -> MergerState:
         _check(state)
         return state
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, TransformError) as error:
-        raise MapFileError(f"{path}: the state makes no sense: {error!r}") from error
+        raise MapFileError(f"{path}: the state makes no sense: {one_line(error)}") from error
 
 
 def _check(state: MergerState) -> None:

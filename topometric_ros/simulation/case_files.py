@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.errors import one_line
 from topometric_ros.io.ply import read_ply_points, write_ply
 from topometric_ros.io.trajectories import AgentTrajectory, write_trajectories
 from topometric_ros.runtime.track import Track
@@ -85,7 +86,7 @@ def read_case(folder: Path) -> Case:
         edges = tuple((int(a), int(b)) for a, b in truth.get("edges", ()))
         return Case(str(truth["plan"]), int(truth["seed"]), agents, overlap, edges)
     except (OSError, ValueError, KeyError) as error:
-        raise CaseError(f"{folder}: not a simulated case: {error!r}") from error
+        raise CaseError(f"{folder}: not a simulated case: {one_line(error)}") from error
 
 
 def _read_agent(folder: Path, key: str, truth: Any, arrays: Any) -> SimulatedAgent:

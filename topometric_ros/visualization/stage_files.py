@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, RoomMatch
+from topometric_ros.errors import one_line
 from topometric_ros.io.summaries import write_atomically
 from topometric_ros.runtime.bag_sources import parse_source
 from topometric_ros.runtime.config import ToolConfig
@@ -164,7 +165,7 @@ def _summary(path: Path) -> tuple[list[Alignment], dict[str, str]]:
         if unknown:
             raise ValueError(f"no agent {min(unknown)!r}")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ViewError(f"{path}: not the summary of a merge: {error!r}") from error
+        raise ViewError(f"{path}: not the summary of a merge: {one_line(error)}") from error
     return alignments, sources
 
 

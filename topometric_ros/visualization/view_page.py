@@ -43,9 +43,9 @@ def view_html(view: View, stages: Mapping[str, Any] | None = None) -> str:
     words = [counted(count, word) for count, word in counts]
     words.append(f"{len(m.voxels):,} voxels of {number(m.voxel_size, 2, 'm')}")
     summary = ", ".join(words)
-    # "</" would end the element, and nothing in the data may do that.
+    # "</script>" would end the element and "<!--" keep it open: nothing in the data may do that.
     content = {**_data(view, view_points(view)), "stages": stages or {}}
-    data = json.dumps(content, allow_nan=False).replace("</", "<\\/")
+    data = json.dumps(content, allow_nan=False).replace("<", "\\u003c")
     parts = {
         "@TITLE@": text(view.title),
         "@SUMMARY@": text(summary),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from topometric_ros.errors import one_line
 from topometric_ros.fusion.poses import Transform
 from topometric_ros.io.map_files import load_global_map, map_file_of
 from topometric_ros.io.trajectories import read_trajectories, trajectory_of
@@ -105,5 +106,5 @@ def _merge_summary(path: Path) -> tuple[tuple[Match, ...], _RoomsOf, dict[str, T
             if agent.get("T_global_agent") is not None
         }
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
-        raise ViewError(f"{path}: not the summary of a merge: {error!r}") from error
+        raise ViewError(f"{path}: not the summary of a merge: {one_line(error)}") from error
     return matches, rooms_of, placed
