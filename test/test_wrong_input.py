@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import struct
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from test.helpers_bags import flat
 from topometric_ros.cli.main import main
@@ -144,3 +146,16 @@ def test_what_a_damaged_file_holds_does_not_fill_the_screen(tmp_path: Path) -> N
         with pytest.raises(CloudError) as caught:
             read_cloud(tmp_path / name)
         assert len(str(caught.value)) < len(str(tmp_path)) + 400
+
+
+def test_a_picture_of_more_pixels_than_memory_holds_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "plan.png"
+    Image.new("1", (64, 64)).save(plan)
+    raw = bytearray(plan.read_bytes())
+    for size in (9_000, 2**31 - 1):
+        struct.pack_into(">II", raw, 16, size, size)
+        struct.pack_into(">I", raw, 29, zlib.crc32(raw[12:29]))
+        plan.write_bytes(raw)
+        assert f"{plan}: " in told(["simulate", plan, "-o", tmp_path], capsys)

@@ -85,7 +85,7 @@ def read_case(folder: Path) -> Case:
         overlap = np.array(truth.get("overlaps", [truth["overlap"]] * len(pairs)), dtype=float)
         edges = tuple((int(a), int(b)) for a, b in truth.get("edges", ()))
         return Case(str(truth["plan"]), int(truth["seed"]), agents, overlap, edges)
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise CaseError(f"{folder}: not a simulated case: {one_line(error)}") from error
 
 

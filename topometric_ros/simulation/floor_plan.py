@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from topometric_ros.errors import one_line
 from topometric_ros.simulation.building import BuildingError
 from topometric_ros.simulation.labelled import (
     STRUCTURE,
@@ -27,6 +28,8 @@ from topometric_ros.simulation.outlines import simplify, trace_outlines
 
 PIXEL = 0.05
 """Size of a pixel, m."""
+_MOST_PIXELS = 80_000_000
+"""440 m by 440 m; a picture of a few bytes may say that it has more than memory holds."""
 CEILING = 2.7
 FURNITURE = 0.9
 """Height that furniture is extruded to, m."""
@@ -75,11 +78,16 @@ def load_floor_plan(path: Path) -> LabelledBuilding:
 def _free_cells(path: Path) -> NDArray[np.bool_]:
     """Return where a picture is white: (X, Y) bool."""
     import matplotlib.image
+    from PIL import Image
 
     try:
+        with Image.open(path) as header:
+            width, height = header.size
+        if width * height > _MOST_PIXELS:
+            raise BuildingError(f"{path}: {width} x {height} pixels, at most {_MOST_PIXELS} in all")
         picture = matplotlib.image.imread(path)
-    except (OSError, SyntaxError, ValueError) as error:
-        raise BuildingError(f"{path}: cannot be read: {error}") from error
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise BuildingError(f"{path}: cannot be read: {one_line(error)}") from error
     grey = picture if picture.ndim == 2 else picture[..., : min(3, picture.shape[2])].min(axis=2)
     white: NDArray[np.bool_] = np.ascontiguousarray((grey >= _FREE).T)
     return white
