@@ -1,4 +1,4 @@
-"""What tests with real node processes share: a graph of their own, processes that end with it."""
+"""What tests share: cases made up alike in every run, a graph of their own, processes on it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from test import helpers_ros
 from test.helpers_ros import Graph, NodeProcess
+
+# A run on a starved machine comes to what any other does; `make soak` looks for new cases.
+settings.register_profile(
+    "suite", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("suite")
 
 
 @pytest.fixture

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import array
 import contextlib
+import functools
 import importlib
 import importlib.util
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,29 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 
-_DOMAIN_ID = 1 + os.getpid() % 100
-"""Of this test run alone, so that runs beside each other do not talk."""
+_LEAKS = ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY")
+"""What a developer's shell may say of the graph, and the private one must not hear."""
+
+
+@functools.cache
+def _domain() -> tuple[int, socket.socket]:
+    """Return a domain of this test run alone, and the socket that keeps it from other runs.
+
+    A domain is free where nobody has the port by which runs claim it, TCP's of that number, and
+    nobody the first participant's own, as what an ended run may have left behind has.
+    """
+    for attempt in range(100):
+        domain = 1 + (os.getpid() + attempt) % 100
+        claim = socket.socket()
+        try:
+            claim.bind(("127.0.0.1", 7400 + 250 * domain))
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as metatraffic:
+                metatraffic.bind(("", 7410 + 250 * domain))
+        except OSError:
+            claim.close()
+            continue
+        return domain, claim
+    raise AssertionError("no DDS domain is free")
 
 
 def missing() -> str:
@@ -39,8 +62,8 @@ def missing() -> str:
 def environment() -> dict[str, str]:
     """Return the environment of every process of the private graph."""
     return {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(_DOMAIN_ID),
+        **{name: value for name, value in os.environ.items() if name not in _LEAKS},
+        "ROS_DOMAIN_ID": str(_domain()[0]),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
         "PYTHONUNBUFFERED": "1",
@@ -48,7 +71,7 @@ def environment() -> dict[str, str]:
     }
 
 
-_AGAIN_S = 30.0
+_AGAIN_S = 60.0
 
 
 class NodeProcess:
@@ -80,7 +103,8 @@ class NodeProcess:
     @property
     def log(self) -> str:
         """What the process has said so far."""
-        return self.log_path.read_text()
+        # What is being written may end within a letter.
+        return self.log_path.read_text(errors="replace")
 
     def send(self, number: int) -> None:
         """Send a signal to the process."""
@@ -161,8 +185,8 @@ class Graph:
     def call(self, service_type: Any, name: str, request: Any, limit_s: float = 180.0) -> Any:
         """Call a service and return its response.
 
-        The call is made again every `_AGAIN_S`: what is sent while one side has not found the other
-        yet is lost (DDS-RPC 1.0, 7.6.2.2), and on a starved machine that takes a while.
+        The call is made again every `_AGAIN_S`: a request may go to a process that has ended and
+        whose end was not noticed yet.
         """
         client = self.node.create_client(service_type, name)
         assert client.wait_for_service(limit_s), f"no service {name} within {limit_s} s"
@@ -194,9 +218,11 @@ def private_context() -> Any:
     import rclpy
 
     context = rclpy.Context()
-    # Fast DDS reads the range when the first participant is made; the tests want no other.
+    # These are read when a participant is made; the tests want no other.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    rclpy.init(context=context, domain_id=_DOMAIN_ID)
+    for name in _LEAKS:
+        os.environ.pop(name, None)
+    rclpy.init(context=context, domain_id=_domain()[0])
     return context
 
 
@@ -217,11 +243,13 @@ def wait_for(
     raise AssertionError(f"no {what} within {limit_s} s{logs}")
 
 
-def play_bag(own: Graph, bag: Path, rate: float = 1.0, limit_s: float = 30.0) -> list[Any]:
+def play_bag(
+    own: Graph, bag: Path, rate: float, limit_s: float, listeners: Mapping[str, int]
+) -> list[Any]:
     """Publish a recorded bag with its recorded quality of service and in its recorded rhythm.
 
-    Waits until every topic has a subscriber. Returns the publishers: latched topics need them
-    to stay, and the caller destroys them.
+    Waits until every topic has a subscriber, or as many as `listeners` says. Returns the
+    publishers: latched topics need them to stay, and the caller destroys them.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -229,9 +257,10 @@ def play_bag(own: Graph, bag: Path, rate: float = 1.0, limit_s: float = 30.0) ->
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         publishers = {c.id: _publisher(own.node, c) for c in reader.connections}
         for connection in reader.connections:
-            publisher = publishers[connection.id]
-            if connection.topic != "/tf" and not connection.topic.startswith("/tf_"):
-                wait_for(publisher.get_subscription_count, limit_s, f"reader of {connection.topic}")
+            wanted = listeners.get(connection.topic, 1)
+            count = publishers[connection.id].get_subscription_count
+            readers = f"{wanted} readers of {connection.topic}"
+            wait_for(lambda n=wanted, count=count: count() >= n, limit_s, readers)
         begin, first = time.monotonic(), None
         for connection, stamp, raw in reader.messages():
             first = stamp if first is None else first

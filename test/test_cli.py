@@ -24,6 +24,8 @@ from topometric_ros.io.map_files import load_map
 from topometric_ros.io.ply import read_ply_points
 from topometric_ros.runtime.bag_sources import readable
 
+LIMIT_S = 120.0
+
 
 @pytest.fixture(scope="module")
 def clouds(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -250,12 +252,11 @@ def test_run_ends_its_processes_with_a_signal_and_says_which_one_ended(tmp_path:
     assert [line.split(":")[1].strip() for line in lines] == [
         *("extractor of a", "extractor of b", "merger")
     ]
-    time.sleep(0.3)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(20) == 0
+    assert process.wait(LIMIT_S) == 0
     process.stderr.close()
     command[2] = script.format(child=ending)
-    ended = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=30, check=False)
+    ended = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=LIMIT_S, check=False)
     assert ended.returncode == 1
     assert re.search(r"ended with status 3; the others were ended", ended.stderr)
 
@@ -282,7 +283,8 @@ def test_run_starts_again_what_ended_but_not_what_refused_its_parameters(
     fleet = run._Fleet({"node": [sys.executable, "-c", child]}, os.environ, respawn=True)
 
     def stop() -> None:
-        while not mark.with_suffix(".again").exists():
+        limit = time.monotonic() + LIMIT_S
+        while not mark.with_suffix(".again").exists() and time.monotonic() < limit:
             time.sleep(0.05)
         fleet._stop(signal.SIGTERM, None)
 
@@ -326,7 +328,7 @@ def test_run_tells_its_nodes_what_the_launch_file_tells_them(tmp_path: Path) -> 
         env={k: v for k, v in os.environ.items() if k != "FASTRTPS_DEFAULT_PROFILES_FILE"},
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=LIMIT_S,
         check=False,
     )
     lines = sorted(line.split() for line in told.stdout.splitlines())

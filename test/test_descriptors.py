@@ -61,7 +61,7 @@ def test_engineered_features_of_a_box_are_its_sizes() -> None:
     assert values["verticality"] == pytest.approx(0.0, abs=1e-6)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(turns=st.integers(0, 3), x=st.integers(-500, 500), z=st.integers(-90, 90))
 def test_engineered_features_do_not_change_with_quarter_turns_and_translation(
     turns: int, x: int, z: int

@@ -26,7 +26,7 @@ from topometric_ros.runtime.message_codec import CodecError, map_from_message, m
 
 CASES = int(os.environ.get("TOPOMETRIC_FUZZ_CASES", "100"))
 
-fuzz = settings(max_examples=CASES, deadline=None, derandomize=CASES <= 100, database=None)
+fuzz = settings(max_examples=CASES, derandomize=CASES <= 100, database=None)
 
 COUNTS = st.sampled_from((0, 1, 2, 3, 255, 2**16, 2**26, 2**26 + 1, 2**31 - 1, 2**31, 2**32 - 1))
 SMALL = st.sampled_from((-(2**31), -2, -1, 0, 1, 3, 7, 2**31 - 1))

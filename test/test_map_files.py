@@ -92,14 +92,14 @@ def test_an_older_file_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, len(WHOLE) - 1))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_truncated_file_is_refused(length: int) -> None:
     with pytest.raises(MapFileError):
         decode_map(WHOLE[:length], "cut.tmap")
 
 
 @given(st.lists(st.tuples(st.integers(0, len(WHOLE) - 1), st.integers(0, 7)), min_size=1))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_flipped_bits_never_crash(flips: list[tuple[int, int]]) -> None:
     damaged = bytearray(WHOLE)
     for position, bit in flips:

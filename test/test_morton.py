@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from topometric_ros.errors import TopometricError
@@ -11,14 +11,12 @@ from topometric_ros.voxels.morton import COORDINATE_LIMIT, morton_decode, morton
 coordinate = st.integers(-COORDINATE_LIMIT, COORDINATE_LIMIT - 1)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=50))
 def test_decoding_undoes_encoding(coords):
     array = np.array(coords, dtype=np.int64).reshape(-1, 3)
     assert np.array_equal(morton_decode(morton_encode(array)), array)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(coordinate, coordinate, coordinate)
 def test_a_code_interleaves_the_bits_of_x_y_z(x, y, z):
     code = int(morton_encode(np.array([[x, y, z]]))[0])

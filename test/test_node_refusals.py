@@ -34,6 +34,8 @@ from topometric_ros.nodes.merger_state import StateKeeper
 from topometric_ros.nodes.roster import Roster
 from topometric_ros.nodes.running import TopometricNode
 
+LIMIT_S = 60.0
+
 
 @pytest.fixture
 def node() -> Iterator[TopometricNode]:
@@ -117,10 +119,10 @@ def test_why_nothing_arrives_is_told_where_the_graph_shows_it(
     assert cloud.silence() == "nobody publishes /cloud"
     with graph("stranger") as stranger:
         stranger.node.create_publisher(LaserScan, "cloud", 1)
-        wait_for(lambda: "LaserScan, expected" in cloud.silence(), 20.0, "the wrong type")
+        wait_for(lambda: "LaserScan, expected" in cloud.silence(), LIMIT_S, "the wrong type")
         assert cloud.publishers == 0, "what it offers says nothing about clouds"
     right = own.node.create_publisher(PointCloud2, "cloud", 1)
-    wait_for(lambda: "but nothing has arrived" in cloud.silence(), 20.0, "the right type")
+    wait_for(lambda: "but nothing has arrived" in cloud.silence(), LIMIT_S, "the right type")
     cloud._lose(SimpleNamespace(total_count_change=4))
     assert cloud.silence().endswith("; 4 clouds were lost on the way")
     report = ExtractorReport()
@@ -134,12 +136,12 @@ def test_why_nothing_arrives_is_told_where_the_graph_shows_it(
     listed = Roster(node, {"robot2": "/robto2"}, discover=False)
     there = own.node.create_publisher(MapMessage, "/robot2/topometric_map", qos.SNAPSHOT)
     told = "/robto2/topometric_map; there is /robot2/topometric_map, which is not listed"
-    wait_for(lambda: told in listed.silence(), 20.0, "the name that was misspelt")
+    wait_for(lambda: told in listed.silence(), LIMIT_S, "the name that was misspelt")
     # One that was killed counts as a publisher for a while beside the one that follows it.
     other = own.node.create_publisher(MapMessage, "/robot2/topometric_map", qos.SNAPSHOT)
     twice = Roster(node, {"robot2": "/robot2"}, discover=False)
     report = twice.reports["robot2"]
-    wait_for(lambda: twice.look() or report.publishers == 2, 20.0, "both publishers")
+    wait_for(lambda: twice.look() or report.publishers == 2, LIMIT_S, "both publishers")
     assert report.rivals == 0
     monkeypatch.setattr("topometric_ros.nodes.roster._LEASE_S", -1.0)
     twice.look()

@@ -20,7 +20,7 @@ def array(found: list[tuple[int, int, int]]) -> np.ndarray:
     return np.array(found, np.int32).reshape(-1, 3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cells, place, st.floats(0, 60))
 def test_a_radius_query_returns_all_centres_within_the_distance(found, position, radius) -> None:
     coords = array(found)
@@ -31,7 +31,7 @@ def test_a_radius_query_returns_all_centres_within_the_distance(found, position,
     assert (rows == (square <= radius**2))[sure].all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cells, st.tuples(*[st.integers(-45, 45)] * 6))
 def test_a_box_query_returns_all_cells_inside(found, corners) -> None:
     coords, low, high = array(found), np.array(corners[:3]), np.array(corners[3:])
@@ -39,7 +39,7 @@ def test_a_box_query_returns_all_cells_inside(found, corners) -> None:
     assert Octree(coords).box(low, high).tolist() == np.flatnonzero(inside).tolist()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(cells, st.integers(0, 2**62), st.integers(0, 2**62))
 def test_an_interval_is_a_run_of_the_morton_order(found, first, last) -> None:
     coords = array(found)
@@ -51,7 +51,7 @@ def test_an_interval_is_a_run_of_the_morton_order(found, first, last) -> None:
         assert codes[rows].tolist() == expected
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(cells, st.integers(0, 8))
 def test_a_level_holds_each_voxel_once_in_the_cell_above_it(found, level) -> None:
     coords = array(found)

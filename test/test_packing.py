@@ -32,7 +32,7 @@ from topometric_ros.voxels.morton import COORDINATE_LIMIT
         elements=st.integers(-COORDINATE_LIMIT, COORDINATE_LIMIT - 1),
     )
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_set_of_voxels_round_trips(coords: np.ndarray) -> None:
     ordered = in_morton_order(coords)
     packed = pack_coords(ordered)
@@ -41,13 +41,13 @@ def test_any_set_of_voxels_round_trips(coords: np.ndarray) -> None:
 
 
 @given(hnp.arrays(np.int8, st.tuples(st.integers(0, 9), st.just(3)), elements=st.integers(-2, 1)))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_offsets_round_trip(offsets: np.ndarray) -> None:
     np.testing.assert_array_equal(unpack_offsets(pack_offsets(offsets), len(offsets)), offsets)
 
 
 @given(hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=20)))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_bits_round_trip(mask: np.ndarray) -> None:
     np.testing.assert_array_equal(unpack_bits(pack_bits(mask), mask.shape), mask)
 
@@ -112,7 +112,7 @@ def test_a_frame_that_hides_its_size_is_refused() -> None:
 
 
 @given(st.integers(0, 10_000), st.integers(0, 7), st.booleans())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_damage_is_found(position: int, bit: int, cut: bool) -> None:
     coords = in_morton_order(np.random.default_rng(5).integers(-30, 30, (300, 3)))
     packed = bytearray(pack_coords(coords))

@@ -44,7 +44,7 @@ def cells_by_slabs(origin, target) -> list[tuple[int, ...]]:
     return [cell for _, cell in sorted(found)]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(point, point)
 def test_the_cells_of_a_ray_are_those_of_exact_slabs(origin, target) -> None:
     cells = [tuple(c) for c in traversed(np.array(origin), np.array(target)).tolist()]

@@ -114,7 +114,7 @@ def test_an_axis_that_is_none_is_told(axis: list[object]) -> None:
         with_values(MergeConfig(), {"consensus.registration.axis": axis})
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(yaw=st.floats(-3.1, 3.1), x=st.floats(-20, 20), z=st.floats(-3, 3))
 def test_the_result_does_not_depend_on_the_frames(yaw: float, x: float, z: float) -> None:
     a, b = maps(0.01)

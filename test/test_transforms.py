@@ -50,7 +50,7 @@ def test_a_frame_lies_on_itself() -> None:
 
 
 @given(st.floats(0, 1), st.floats(-3, 3), st.floats(-3, 3))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_interpolation_lies_between_and_is_symmetric(share: float, a: float, b: float) -> None:
     first, second = yaw_transform(a, (1, 2, 3)), yaw_transform(b, (3, 2, 1))
     there = interpolate(first, second, share)

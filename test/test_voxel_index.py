@@ -14,7 +14,7 @@ from topometric_ros.voxels.index import VoxelIndex, cells_to_next
 cell = st.tuples(*[st.integers(-70, 70)] * 3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(cell, unique=True, max_size=60), st.lists(cell, max_size=30))
 def test_rows_are_those_of_a_dictionary(cells, asked) -> None:
     coords = np.array(cells, np.int32).reshape(-1, 3)

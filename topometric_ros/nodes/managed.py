@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
 from topometric_ros.errors import TopometricError
+from topometric_ros.nodes.answers import patient
 from topometric_ros.nodes.extractor import Extractor
 from topometric_ros.nodes.merger import Merger
 from topometric_ros.nodes.running import TopometricNode, describe_failure, run
@@ -24,6 +25,13 @@ _WORK_S = 120.0
 
 class _Managed(LifecycleNodeMixin, TopometricNode):
     """The transitions of a node of ours; a failing one leaves the node in the state it had."""
+
+    def _be_managed(self) -> None:
+        """Offer the transitions' services; rclpy makes them past :meth:`create_service`."""
+        own = set(self.services)
+        LifecycleNodeMixin.__init__(self)
+        for service in set(self.services) - own:
+            service.callback = patient(self, service.srv_name, service.callback)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self._try(self.configure)
@@ -58,7 +66,7 @@ class ManagedExtractor(_Managed, Extractor):
 
     def __init__(self) -> None:
         Extractor.__init__(self)
-        LifecycleNodeMixin.__init__(self)
+        self._be_managed()
 
 
 class ManagedMerger(_Managed, Merger):
@@ -66,7 +74,7 @@ class ManagedMerger(_Managed, Merger):
 
     def __init__(self) -> None:
         Merger.__init__(self)
-        LifecycleNodeMixin.__init__(self)
+        self._be_managed()
 
 
 def extractor(arguments: Sequence[str] | None = None) -> None:

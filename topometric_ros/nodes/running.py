@@ -17,10 +17,12 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from topometric_ros.errors import TopometricError
+from topometric_ros.nodes.answers import Answer, patient
 from topometric_ros.nodes.parameter_files import passed_over
 
 logger = logging.getLogger(__name__)
@@ -59,6 +61,13 @@ class TopometricNode(Node):
         given = [entry for entry in parameters if len(entry) < 2 or entry[1] is not None]
         declared: list[Parameter] = super().declare_parameters(namespace, given, ignore_override)
         return declared
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Answer, **options: Any
+    ) -> Service:
+        """Offer a service, those of parameters too, whose answers wait until they are heard."""
+        answer = patient(self, self.resolve_service_name(srv_name), callback)
+        return super().create_service(srv_type, srv_name, answer, **options)
 
     def _set_up(self) -> None:
         """Make the state and the publishers."""
