@@ -62,7 +62,7 @@ def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
     arguments = ("-r", "__ns:=/scout", "-p", "mode:=scan")
     process = start(
         EXTRACTOR, *arguments, "-p", "tf_timeout:=1.0", "-p", "max_rate:=20.0",
-        "-p", "map_frame:=map",
+        "-p", "map_frame:=map", "-p", f"scans_file:={tmp_path / 'scans'}",
     )  # fmt: skip
     clouds = own.node.create_publisher(PointCloud2, "/scout/cloud", qos.CLOUD_RELIABLE)
     static = own.node.create_publisher(TFMessage, "/tf_static", qos.STATIC_TRANSFORMS)
@@ -82,9 +82,15 @@ def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
     static.publish(static_transform("odom", "lidar"))
     room = cloud_message(box_room((0.0, 0.0, 0.0), (4.0, 5.0, 2.6)), "lidar")
     clouds.publish(room)
-    named = lambda: "no frame map" in status()[1] and status()  # noqa: E731
-    level, _, values = wait_for(named, WORK_S, "diagnostics entry of the scan given up", (process,))
-    assert (level, values["without transform"]) == (b"\x01", "1")
+
+    def given_up() -> Any:
+        level, message, values = status()
+        gone = values.get("without transform") == "1" and "no scan could be placed" in message
+        return (level, message) if gone else None
+
+    told = wait_for(given_up, WORK_S, "diagnostics entry of the scan given up", (process,))
+    assert told[0] == b"\x01"
+    assert "no frame map" in told[1]
     wait_for(
         lambda: process.log.count("no frame map") == 1, WORK_S, "a line in the log", (process,)
     )
@@ -107,12 +113,14 @@ def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
     assert refusals[2] == ""
     values = dumped(own)
     assert (values["tf_timeout"], values["max_rate"]) == (2.5, 20.0)
-    assert process.stop(signal.SIGINT) == 0
+    process.stop(signal.SIGKILL)
 
     path = tmp_path / "dump.yaml"
     path.write_text(yaml.safe_dump({NODE: {"ros__parameters": values}}))
+    first = maps.last
     again = start(EXTRACTOR, *arguments[:2], "--params-file", str(path))
-    wait_for(clouds.get_subscription_count, WORK_S, "extractor again", (again,))
+    wait_for(lambda: maps.last.session != first.session, WORK_S, "map of before", (again,))
+    assert (maps.last.header.frame_id, maps.last.voxel_count) == ("map", first.voxel_count)
     assert dumped(own) == values
     assert "unknown parameters" not in again.log
     assert again.stop(signal.SIGTERM) == 0

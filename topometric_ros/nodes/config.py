@@ -96,6 +96,11 @@ class ExtractorNodeConfig:
     tf_history: float = parameter(
         120.0, "How far back transforms are kept.", unit="s", minimum=1.0, maximum=100_000.0
     )
+    scans_file: str = parameter(
+        "",
+        "File that keeps what single scans came to across a restart of this node alone; written "
+        "once a minute and at the end, one for each extractor. Empty: nothing is kept.",
+    )
     matching: DescribingConfig = field(default_factory=DescribingConfig)
 
 

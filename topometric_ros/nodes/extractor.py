@@ -29,6 +29,7 @@ from topometric_ros.nodes.extractor_services import serve
 from topometric_ros.nodes.markers import map_markers
 from topometric_ros.nodes.messages import message_classes
 from topometric_ros.nodes.running import TopometricNode, describe_failure, log_to, run
+from topometric_ros.nodes.scan_keeper import ScanKeeper
 from topometric_ros.nodes.worker import Inbox, Worker
 from topometric_ros.runtime.agent_input import AgentInput
 from topometric_ros.runtime.agents_file import agent_of_namespace
@@ -64,15 +65,19 @@ class Extractor(TopometricNode):
         check_agent(self._agent)
         self._classes = message_classes()
         self.working = threading.Lock()
+        self._keeper = ScanKeeper("", self.get_logger())
 
     def _set_up(self) -> None:
         agent = self._agent
         session = ExtractorSession(
             agent, self._wanted, self._matching, lambda: uuid.uuid4().hex[:12]
         )
+        self._keeper = ScanKeeper(self._own.scans_file, self.get_logger())
+        if self._own.mode != "map":
+            self._keeper.restore(session)
         self.input = AgentInput(
             session,
-            mode=self._own.mode,
+            mode="scan" if session.has_input else self._own.mode,
             map_frame=self._own.map_frame,
             history=round(self._own.tf_history * 1e9),
             waiting=self._own.scan_queue,
@@ -119,7 +124,20 @@ class Extractor(TopometricNode):
         self.every(_REPORT_S, self._look)
 
     def _stop_work(self, limit_s: float) -> bool:
-        return self._worker.stop(limit_s)
+        if not self._worker.stop(limit_s) or not self.working.acquire(timeout=limit_s):
+            return False
+        self.remember(at_once=True)
+        self.working.release()
+        return True
+
+    def cleanup(self) -> None:
+        """Take the publishers away, and leave the scans' file to others."""
+        super().cleanup()
+        self._keeper.close()
+
+    def remember(self, at_once: bool = False) -> None:
+        """Write the scans' file, if there is one and it is time; the caller holds `working`."""
+        self.report.unsaved = self._keeper.keep(self.input.session, at_once)
 
     def _change(self, configs: parameters.Configs) -> None:
         self._own, self._wanted = configs
@@ -152,6 +170,7 @@ class Extractor(TopometricNode):
         """Take in what has arrived and, when it is time, extract and publish."""
         with self.working:
             self.take_in()
+            self.remember()
             due = time.monotonic() - self._last_extraction >= 1.0 / self._own.max_rate
             if self._is_fresh() and due and self._is_changed():
                 self.extract()

@@ -36,6 +36,8 @@ class ExtractorReport:
     lost_at: float = -float("inf")
     """When scans were last lost, s of the monotonic clock."""
     failure: str = ""
+    unsaved: str = ""
+    """Why what was gathered could not be written, if so."""
     _silence_told: bool = False
     published: TopometricMap | None = None
     quality: Quality | None = None
@@ -128,6 +130,8 @@ class ExtractorReport:
             "voxels": len(m.voxels),
             "CPU time [s]": self.cpu_s,
         }
+        if self.unsaved:
+            return Status(f"{node}: map", Level.ERROR, self.unsaved, values)
         if m.warnings:
             return Status(f"{node}: map", Level.WARN, m.warnings[0], values)
         return Status(f"{node}: map", Level.OK, f"{len(m.rooms)} rooms", values)

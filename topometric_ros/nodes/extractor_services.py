@@ -54,6 +54,7 @@ class _ExtractorServices:
             self._node.clouds.take_all()
             self._node.input.reset()
             self._node.report = ExtractorReport()
+            self._node.remember(at_once=True)
             response.session = self._node.input.session.session
         response.code, response.message = response.SUCCESS, f"session {response.session} begins"
         self._node.get_logger().info(response.message)

@@ -23,6 +23,7 @@ from topometric_ros.io.trajectories import AgentTrajectory
 from topometric_ros.matching.config import MatchingConfig
 from topometric_ros.runtime.extract_map import extract_map
 from topometric_ros.runtime.room_ids import keep_room_ids
+from topometric_ros.runtime.scan_state import Doubt, ScanState
 from topometric_ros.runtime.track import Track
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.voxels.grid import lattice_coordinates
@@ -91,6 +92,7 @@ class ExtractorSession:
         self._extracted: NDArray[np.float64] | None = None
         self._cells = np.empty(0, np.int64)
         self._scans: ScanGrid | None = None
+        self._doubt: Doubt | None = None
         self._failed = False
         self._track = Track()
         self._T_level_up: NDArray[np.float64] | None = None
@@ -151,14 +153,40 @@ class ExtractorSession:
         self.counts.scans += 1
         self.counts.dropped_points += dropped
         placed = points @ T_map_cloud[:3, :3].T + T_map_cloud[:3, 3]
-        if self._scans is None:
-            if len(placed) == 0:
-                return
-            cell = min(self.extraction.voxel_size / 2, _FINEST_CELL)
-            self._scans = ScanGrid(cell, anchor(placed), self.extraction.scans)
-        self.counts.dropped_points += self._scans.add(placed, sensor)
+        self._gather(placed, sensor)
         self._track.add(stamp, T_map_cloud[:3, 3] if sensor is None else sensor)
         self.stamp = max(self.stamp, stamp)
+
+    def scan_state(self) -> ScanState | None:
+        """Return what the scans came to, None where there are none or others are doubted."""
+        if self._scans is None or self._doubt is not None:
+            return None
+        counts = self.counts.scans, self.counts.dropped_points
+        return ScanState(
+            self.agent, self.frame_id, self.stamp, *counts, self._scans, self.trajectory
+        )
+
+    def take_up(self, state: ScanState) -> None:
+        """Go on from what the scans of an earlier session came to; nothing was received yet.
+
+        The first scans are held against it: where they do not fit, it is forgotten again and a new
+        session begins.
+
+        Raises
+        ------
+        SessionError
+            The state is of another agent or of other cells.
+        """
+        if state.agent != self.agent:
+            raise SessionError(f"scans of agent {state.agent!r}, expected {self.agent!r}")
+        if state.grid.cell != self._cell:
+            raise SessionError(f"scans in cells of {state.grid.cell:g} m, expected {self._cell:g}")
+        self.frame_id, self.stamp, self._scans = state.frame_id, state.stamp, state.grid
+        self.counts = InputCounts(scans=state.scans, dropped_points=state.dropped_points)
+        if state.way is not None:
+            for at, position in zip(state.way.stamps.tolist(), state.way.positions, strict=True):
+                self._track.add(at, position)
+        self._doubt = Doubt(state.grid)
 
     def change(self) -> float:
         """Return how much came or went since the newest map, as a share of the voxels: 0 to 1.
@@ -237,6 +265,34 @@ class ExtractorSession:
             )
             self.reset()
         self.frame_id = frame_id
+
+    @property
+    def _cell(self) -> float:
+        return min(self.extraction.voxel_size / 2, _FINEST_CELL)
+
+    def _gather(self, placed: NDArray[np.float64], sensor: NDArray[np.float64] | None) -> None:
+        """Put a scan in the map's frame into its cells, unless it is held for a while."""
+        scans = [(placed, sensor)]
+        if self._doubt is not None:
+            held = self._doubt.hear(placed, sensor)
+            if held is None:
+                return
+            doubt, self._doubt, scans = self._doubt, None, held
+            if not doubt.fits:
+                logger.warning(
+                    "%s: scans do not fit those of before the restart: %s; was %s set up anew? "
+                    "A new session begins",
+                    *(self.agent, doubt.told(), self.frame_id),
+                )
+                frame = self.frame_id
+                self.reset()
+                self.frame_id, self.counts.scans = frame, len(held)
+        for points, origin in scans:
+            if self._scans is None:
+                if len(points) == 0:
+                    continue
+                self._scans = ScanGrid(self._cell, anchor(points), self.extraction.scans)
+            self.counts.dropped_points += self._scans.add(points, origin)
 
     def _points(self) -> NDArray[np.float64]:
         if not self.has_input:

@@ -12,6 +12,7 @@ of log-odds: what stood for long must be looked through for long.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,7 +111,8 @@ class ScanGrid:
         self._scan = self._scan % 255 + 1
         ends = self._put(np.ascontiguousarray(relative))
         if origin is not None and self.config.carve:
-            self._look_through(np.asarray(origin, np.float64) - self._anchor, relative[ends])
+            start = np.asarray(origin, np.float64) - self._anchor
+            self._look_through(start, relative[ends], self._evidence, self._scan)
         return left_out
 
     def points(self) -> NDArray[np.float64]:
@@ -126,10 +128,99 @@ class ScanGrid:
         )  # fmt: skip
         return np.asarray(found + self._anchor)
 
+    def fit(self, points: NDArray[np.float64], origin: NDArray[np.float64]) -> tuple[int, int]:
+        """Return how a scan fits what is known, changing nothing.
+
+        Parameters
+        ----------
+        points, origin : as of :meth:`add`
+
+        Returns
+        -------
+        How many cells kept lie where the scan has points or beside them, and how many others its
+        rays look through. The first is the larger of one that lies where it belongs; both are few
+        where nothing was known yet.
+        """
+        count = self._used[1]
+        evidence = self._evidence.copy()
+        kept = kernels.kept(evidence[:count], self.config.least, self.config.ratio)
+        evidence[:, [kernels.HIT_AT, kernels.MISSED_AT]] = 0
+        relative = np.ascontiguousarray(points - self._anchor)
+        kernels.hit_beside(self._keys, self._numbers, self._rows, evidence, relative, self.cell, 1)
+        self._look_through(origin - self._anchor, relative, evidence, 1)
+        hit, missed = (
+            evidence[:count, column] == 1 for column in (kernels.HIT_AT, kernels.MISSED_AT)
+        )
+        return int((hit & kept).sum()), int((missed & kept).sum())
+
+    def held(self) -> dict[str, NDArray[Any]]:
+        """Return all that the cells hold, of which :meth:`of` makes the same grid again.
+
+        `cells` (K, 3) int32, `sums` (K, 3) float32, m, `counts` (K,) int32, `evidence` (K, 5) int8.
+        """
+        bricks, count = self._used
+        number, place = np.nonzero(self._rows[:bricks] >= 0)
+        cells = np.empty((count, 3), np.int32)
+        cells[self._rows[number, place]] = kernels.cells_of(self._bricks[number], place)
+        return {
+            "cells": cells,
+            "sums": self._sums[:count].copy(),
+            "counts": self._counts[:count].astype(np.int32),
+            "evidence": self._evidence[:count].view(np.int8).copy(),
+        }
+
+    @classmethod
+    def of(
+        cls,
+        cell: float,
+        anchor: NDArray[np.float64],
+        config: ScanConfig,
+        scan: int,
+        held: Mapping[str, NDArray[Any]],
+    ) -> ScanGrid:
+        """Return a grid of what another one held, after so many scans (1 to 255, in a circle).
+
+        Raises
+        ------
+        ValueError
+            What is given contradicts itself.
+        """
+        cells, sums, counts, evidence = (held[k] for k in ("cells", "sums", "counts", "evidence"))
+        shapes = [a.shape for a in (cells, sums, counts, evidence)]
+        if shapes != [(len(cells), 3), (len(cells), 3), (len(cells),), (len(cells), 5)]:
+            raise ValueError(f"cells, sums, counts and evidence of shapes {shapes}")
+        if not (
+            np.isfinite(anchor).all() and (np.abs(cells) < _MOST_CELLS).all() and 0 < scan < 256
+        ):
+            raise ValueError("an anchor, a cell or a count of scans out of range")
+        if not ((counts > 0) & (counts <= kernels.FULLEST)).all():
+            raise ValueError("a cell of no point or of too many")
+        if not (np.abs(sums) <= cell * counts[:, None]).all():
+            raise ValueError("a mean point outside of its cell")
+        grid = cls(cell, anchor, config)
+        grid._put(cells * cell)
+        if grid.cells != len(cells):
+            raise ValueError("a cell twice")
+        grid._scan = scan
+        rows = slice(len(cells))
+        grid._sums[rows], grid._counts[rows] = sums, counts
+        grid._evidence[rows] = evidence.view(np.uint8)
+        return grid
+
     def change(self) -> float:
         """Return the share of cells that came or went since the points were last taken: 0 to 1."""
         kept, changed = self._changes()
         return changed / max(kept, changed, 1)
+
+    @property
+    def anchor(self) -> NDArray[np.float64]:
+        """(3,) float64, m, the centre of cell (0, 0, 0)."""
+        return self._anchor
+
+    @property
+    def scan(self) -> int:
+        """The number of the newest scan, 1 to 255 in a circle; 0 before the first."""
+        return self._scan
 
     @property
     def cells(self) -> int:
@@ -177,15 +268,21 @@ class ScanGrid:
             self._numbers = np.zeros(size, np.int32)
             kernels.rehash(self._keys, self._numbers, self._bricks, bricks)
 
-    def _look_through(self, origin: NDArray[np.float64], ends: NDArray[np.float64]) -> None:
+    def _look_through(
+        self,
+        origin: NDArray[np.float64],
+        ends: NDArray[np.float64],
+        evidence: NDArray[np.uint8],
+        now: int,
+    ) -> None:
         rays = ends - origin
         lengths = np.linalg.norm(rays, axis=1)
         shortened = np.minimum(lengths - self.config.margin, self.config.reach)
         far = shortened > 0.0
         drawn = origin + rays[far] * (shortened[far] / lengths[far])[:, None]
         kernels.look_through(
-            self._keys, self._numbers, self._rows, self._sums, self._counts, self._evidence,
-            origin, drawn, self.cell, self.config.core, self._scan,
+            self._keys, self._numbers, self._rows, self._sums, self._counts, evidence,
+            origin, drawn, self.cell, self.config.core, now,
         )  # fmt: skip
 
 

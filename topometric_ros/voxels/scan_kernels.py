@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from topometric_ros.voxels.index import BRICK_OFFSET, EMPTY, brick_key, slot_of
 from topometric_ros.voxels.raycast import STEPS, ray_axis
@@ -145,10 +146,40 @@ def look_through(keys, numbers, rows, sums, counts, evidence, origin, ends, cell
 
 
 @njit(cache=True, nogil=True)
+def hit_beside(keys, numbers, rows, evidence, points, cell, now):  # type: ignore[no-untyped-def]
+    """Note a hit now for all cells that hold points of a scan or lie beside those that do."""
+    for i in range(len(points)):
+        x = np.int64(np.floor(points[i, 0] / cell + 0.5))
+        y = np.int64(np.floor(points[i, 1] / cell + 0.5))
+        z = np.int64(np.floor(points[i, 2] / cell + 0.5))
+        for near in range(27):
+            nx, ny, nz = x + near % 3 - 1, y + near // 3 % 3 - 1, z + near // 9 - 1
+            key = brick_key(nx, ny, nz)
+            slot = slot_of(keys, key)
+            if keys[slot] == key:
+                row = rows[numbers[slot], (nx & 3) | ((ny & 3) << 2) | ((nz & 3) << 4)]
+                if row >= 0:
+                    evidence[row, HIT_AT] = now
+
+
+@njit(cache=True, nogil=True)
 def is_kept(evidence, row, least, ratio):  # type: ignore[no-untyped-def]
     """Whether what lies in a cell still stands there."""
     misses = evidence[row, MISSES]
     return misses < least or misses < ratio * evidence[row, HITS]
+
+
+def kept(evidence: NDArray[np.uint8], least: int, ratio: float) -> NDArray[np.bool_]:
+    """Return which cells of evidence (K, 5) are kept, as :func:`is_kept` says of one: (K,)."""
+    hits, misses = evidence[:, HITS], evidence[:, MISSES]
+    return (misses < least) | (misses < ratio * hits)
+
+
+def cells_of(bricks: NDArray[np.int64], places: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the coordinates of cells (K, 3) from their bricks' keys and places in these (K,)."""
+    low = (1 << 20) - 1
+    corners = np.stack([bricks >> 40, (bricks >> 20) & low, bricks & low], 1) - BRICK_OFFSET
+    return (corners << 2) + np.stack([places & 3, (places >> 2) & 3, places >> 4], 1)
 
 
 @njit(cache=True, nogil=True)
