@@ -12,6 +12,7 @@ from topometric_ros.extraction.columns import sort_columns
 from topometric_ros.extraction.default_rooms import NarrowingsConfig, segment
 from topometric_ros.extraction.pair_features import extended, pair_features
 from topometric_ros.extraction.pieces import markers, watershed
+from topometric_ros.extraction.room_labels import label_points
 from topometric_ros.extraction.storeys import (
     RASTER,
     StoreyConfig,
@@ -292,3 +293,14 @@ def test_each_face_of_a_thin_wall_belongs_to_the_room_it_bounds(yaw: float) -> N
     assert labels.max() == 1
     assert np.mean(ours[wall] == np.bincount(ours).argmax()) > 0.93
     assert np.mean(theirs == np.bincount(theirs).argmax()) > 0.97
+
+
+def test_what_was_seen_behind_a_wall_belongs_to_a_room_in_sight_or_to_none() -> None:
+    regions, wall = np.zeros((20, 20), np.int32), np.zeros((20, 20), bool)
+    regions[2:8], regions[16:18, 5:15] = 1, 2
+    wall[8] = True
+    # On the wall's far side, at it, and nearer to the room beyond it than to that on its own side.
+    places = np.array([(9.0, 10.0), (8.0, 10.0), (11.5, 10.0), (11.5, 1.0)])
+    upright = np.ones(len(places), bool)
+    assert label_points(regions, wall, places, upright, 20.0).tolist() == [1, 1, 2, 2]
+    assert label_points(regions, wall, places, upright, 5.0).tolist() == [1, 1, 2, 0]

@@ -101,7 +101,7 @@ def unlabelled_shares(
     """Return the share of voxels in no room, in all and by reason.
 
     Below the lowest floor and above the highest ceiling lie foundations, roofs and stray points;
-    between them a voxel lies too far from every room, or no view reached it.
+    between them a voxel lies too far from every room or behind its walls, or no view reached it.
     """
     none = m.room == NO_ROOM
     z = m.origin[2] + m.voxels[:, 2] * m.voxel_size

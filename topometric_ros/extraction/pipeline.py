@@ -78,8 +78,8 @@ def extract(
 
     Returns
     -------
-    Extraction; a voxel has no room where its column lies too far from every room (preset
-    `default`) or no view reached it (preset `thesis`)
+    Extraction; a voxel has no room where its column lies too far from every room or
+    behind its walls (preset `default`) or no view reached it (preset `thesis`)
 
     Raises
     ------

@@ -2,7 +2,8 @@
 
 Rooms are found on cells of 0.1 m, and a wall between two of them is hardly thicker. So points take
 the nearest room on cells of half that size, after every room has grown, up to 0.1 m, into what of
-the walls' cells is in truth free: the wall's face stops it.
+the walls' cells is in truth free: the wall's face stops it. What lies behind a wall, as seen
+through a door, is of no room on this side.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ _GROWTH = 2
 """Fine cells by which rooms grow into the walls."""
 _FEWEST = 2
 """Upright points of a fine cell that end this growth."""
+_NEAR = 6
+"""Fine cells up to which a point takes the nearest room whatever is between."""
 
 
 def label_points(
@@ -47,8 +50,9 @@ def label_points(
     labels = _twice(regions)
     fine, faces, wanted = _on_fine_cells(places, upright, labels.shape)
     blocked = closed(faces >= _FEWEST, BESIDE)
-    labels = _grown(labels, _twice(wall) & ~blocked)
-    nearest = _nearest(labels, wanted, reach * _PARTS)
+    solid = _twice(wall)
+    labels = _grown(labels, solid & ~blocked)
+    nearest = _nearest(labels, wanted, solid, reach * _PARTS)
     found: NDArray[np.int32] = nearest.ravel()[fine]
     return found
 
@@ -100,11 +104,11 @@ def _grown_once(labels, free):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _nearest(labels, wanted, reach):  # type: ignore[no-untyped-def]
-    """Label of the labelled cell nearest to each wanted one, ties by the lowest; 0 beyond reach.
+def _nearest(labels, wanted, wall, reach):  # type: ignore[no-untyped-def]
+    """Label of the labelled cell nearest to each wanted one; 0 beyond reach.
 
-    Every row knows the nearest labelled cells to the left and to the right, so only rows are gone
-    through, from the cell's own outwards, until none can be nearer.
+    From farther than `_NEAR` cells only those count that no wall hides: what was seen through a
+    door or a window belongs to no room on this side.
     """
     nx, ny = labels.shape
     left = np.full((nx, ny), -1, np.int32)
@@ -122,21 +126,57 @@ def _nearest(labels, wanted, reach):  # type: ignore[no-untyped-def]
     farthest = int(np.floor(reach * reach + 1e-9))
     for i in range(nx):
         for j in range(ny):
-            if not wanted[i, j]:
-                continue
-            best, label, step = farthest, 0, 0
-            while step * step <= best:
-                for row in (i - step, i + step):
-                    if not 0 <= row < nx:
-                        continue
-                    for column in (left[row, j], right[row, j]):
-                        if column < 0:
-                            continue
-                        square = step * step + (column - j) * (column - j)
-                        if square < best or (
-                            square == best and (label == 0 or labels[row, column] < label)
-                        ):
-                            best, label = square, labels[row, column]
-                step += 1
-            result[i, j] = label
+            if wanted[i, j]:
+                row, column = _search(labels, left, right, wall, i, j, farthest, False)
+                square = (row - i) ** 2 + (column - j) ** 2
+                if row >= 0 and square > _NEAR**2 and _hidden(wall, i, j, row, column):
+                    row, column = _search(labels, left, right, wall, i, j, farthest, True)
+                if row >= 0:
+                    result[i, j] = labels[row, column]
     return result
+
+
+@njit(cache=True, nogil=True)
+def _search(labels, left, right, wall, i, j, farthest, in_sight):  # type: ignore[no-untyped-def]
+    """The labelled cell nearest to one, ties by the lowest label; (-1, -1): none.
+
+    `left` and `right` are the nearest labelled columns of every row, so only rows are gone
+    through, from the cell's own outwards, until none can be nearer.
+    """
+    best, found, step = farthest, (-1, -1), 0
+    while step * step <= best:
+        for row in (i - step, i + step):
+            if not 0 <= row < labels.shape[0]:
+                continue
+            for column in (left[row, j], right[row, j]):
+                square = step * step + (column - j) * (column - j)
+                if column < 0 or square > best:
+                    continue
+                if square == best and found[0] >= 0 and labels[row, column] >= labels[found]:
+                    continue
+                if not (in_sight and _hidden(wall, i, j, row, column)):
+                    best, found = square, (row, column)
+        step += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _hidden(wall, x, y, to_x, to_y):  # type: ignore[no-untyped-def]
+    """Whether a wall, other than the one that the first cell lies in, hides a cell from another."""
+    dx, dy = abs(to_x - x), abs(to_y - y)
+    step_x = 1 if to_x > x else -1
+    step_y = 1 if to_y > y else -1
+    own = wall[x, y]
+    later = dy - dx
+    while x != to_x or y != to_y:
+        along_x, along_y = later <= 0, later >= 0
+        if along_x:
+            x += step_x
+            later += 2 * dy
+        if along_y:
+            y += step_y
+            later -= 2 * dx
+        if wall[x, y] and not own:
+            return True
+        own = own and wall[x, y]
+    return False
