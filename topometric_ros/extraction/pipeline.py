@@ -93,14 +93,9 @@ def extract(
     with watch.stage("navigation"):
         navigable = _navigable(scene, config, way)
     room, eyes = _rooms(scene, navigable, config, classifier, watch)
-    with watch.stage("layers"):
-        storeys = _map_storeys(scene, config)
-        offsets = offsets_of_means(scene.means_of_grid, grid)
     storey = scene.per_voxel(scene.storey_of_raster)
-    storey_of_room = storeys_of_rooms(room, storey)
-    found = MappedRooms(
-        grid, offsets, room, navigable, storey_of_room, storeys, scene.columns_of_grid
-    )
+    with watch.stage("layers"):
+        found = _mapped(scene, room, storey, navigable, config)
     with watch.stage("passages"):
         passages = passages_of(found, config.passages)
     with watch.stage("assemble"):
@@ -114,13 +109,13 @@ def extract(
         voxel_size=grid.voxel_size,
         origin=triple(grid.origin),
         voxels=grid.coords,
-        offsets=offsets,
+        offsets=found.offsets,
         room=room,
         navigable=navigable,
         viewpoints=eyes.astype(np.float32),
         rooms=rooms,
         passages=passages,
-        storeys=storeys,
+        storeys=found.storeys,
         T_level_input=scene.T_level_input,
     )
     with watch.stage("quality"):
@@ -182,6 +177,25 @@ def _rooms(
             )
             room = majority(scene.cell_of_point, of_point)
     return room, eyes
+
+
+def _mapped(
+    scene: Scene,
+    room: NDArray[np.int32],
+    storey: NDArray[np.int32],
+    navigable: NDArray[np.int32],
+    config: ExtractionConfig,
+) -> MappedRooms:
+    """Bring rooms, their storeys and what the voxels' points are like together."""
+    return MappedRooms(
+        scene.grid,
+        offsets_of_means(scene.means_of_grid, scene.grid),
+        room,
+        navigable,
+        storeys_of_rooms(room, storey),
+        _map_storeys(scene, config),
+        scene.columns_of_grid,
+    )
 
 
 def _map_storeys(scene: Scene, config: ExtractionConfig) -> tuple[Storey, ...]:

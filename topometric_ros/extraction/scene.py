@@ -105,27 +105,18 @@ def make_scene(
             points = thin(points, min(config.voxel_size / 2, _FINEST_LAYERS))
         points, islands = without_islands(points)
     with watch.stage("level"):
-        voxels = None if T_level_input is not None else _voxels(points, np.zeros(3))
-        level = _level(points, T_level_input, config, voxels)
+        points, level, voxels = _levelled(points, T_level_input, config)
         R = level.T_level_input[:3, :3]
-        if not np.array_equal(R, np.eye(3)):
-            points, voxels = points @ R.T, None
     with watch.stage("storeys"):
-        lattice = np.zeros(3) if origin is None else np.array(origin, np.float64)
-        if voxels is None or origin is not None:
-            voxels = _voxels(points, lattice)
-        columns, storeys = _storeys(points, voxels, config)
-        if origin is None:
-            lattice[2] = refine_floor(points, storeys[0].floor, config.layers)
-            voxels = _voxels(points, lattice)
-            columns, storeys = _storeys(points, voxels, config)
-        raster, raster_of_point, mean = voxels
+        (raster, raster_of_point, mean), columns, storeys = _on_floor(
+            points, voxels, origin, config
+        )
         storey_of_raster = assign_storeys(columns, _heights(mean), storeys)
     with watch.stage("voxelise"):
         if config.voxel_size == RASTER:
             grid, cell_of_point = raster, raster_of_point
         else:
-            grid, cell_of_point = voxelise(points, config.voxel_size, lattice)
+            grid, cell_of_point = voxelise(points, config.voxel_size, raster.origin)
     if T_level_input is None:
         T_level_input = level.T_level_input.copy()
         T_level_input[:3, 3] = -R @ middle + 0.0
@@ -146,10 +137,10 @@ def make_scene(
 
 
 _Voxels = tuple[VoxelGrid, NDArray[np.int64], NDArray[np.float64]]
+"""The 0.1 m voxels of points, the voxel of each point and the mean of each voxel."""
 
 
 def _voxels(points: NDArray[np.float64], lattice: NDArray[np.float64]) -> _Voxels:
-    """Return the 0.1 m voxels of points, the voxel of each point and the mean of each voxel."""
     raster, raster_of_point = voxelise(points, RASTER, lattice)
     return raster, raster_of_point, means(points, raster_of_point, len(raster))
 
@@ -167,18 +158,48 @@ def _middle(
     return np.asarray(-T_level_input[:3, :3].T @ T_level_input[:3, 3] + 0.0)
 
 
-def _level(
+def _levelled(
     points: NDArray[np.float64],
     T_level_input: NDArray[np.float64] | None,
     config: ExtractionConfig,
-    voxels: _Voxels | None,
-) -> Level:
-    """Estimate how the cloud lies, or take what an earlier map of the session found."""
+) -> tuple[NDArray[np.float64], Level, _Voxels | None]:
+    """Turn a cloud as it is estimated to lie, or as an earlier map of the session has it.
+
+    Where it was not turned, its voxels on the frame's own lattice come with it if they were made.
+    """
+    voxels = None
     if T_level_input is None:
-        return estimate_level(points, config.level, None if voxels is None else voxels[2])
-    T = np.array(T_level_input, np.float64)
-    tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
-    return Level(T, tilt, tilt_findings(tilt))
+        voxels = _voxels(points, np.zeros(3))
+        level = estimate_level(points, config.level, voxels[2])
+    else:
+        T = np.array(T_level_input, np.float64)
+        tilt = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+        level = Level(T, tilt, tilt_findings(tilt))
+    R = level.T_level_input[:3, :3]
+    if np.array_equal(R, np.eye(3)):
+        return points, level, voxels
+    return points @ R.T, level, None
+
+
+def _on_floor(
+    points: NDArray[np.float64],
+    voxels: _Voxels | None,
+    origin: tuple[float, float, float] | None,
+    config: ExtractionConfig,
+) -> tuple[_Voxels, Columns, tuple[StoreyHeights, ...]]:
+    """Put points into voxels and find the storeys.
+
+    The lattice is that of the session's `origin`, or else has a layer of centres on the lowest
+    floor; `voxels` are those on the frame's own lattice where they are at hand.
+    """
+    if origin is not None:
+        voxels = _voxels(points, np.array(origin, np.float64))
+        return voxels, *_storeys(points, voxels, config)
+    voxels = _voxels(points, np.zeros(3)) if voxels is None else voxels
+    _, storeys = _storeys(points, voxels, config)
+    lowest = refine_floor(points, storeys[0].floor, config.layers)
+    voxels = _voxels(points, np.array([0.0, 0.0, lowest]))
+    return voxels, *_storeys(points, voxels, config)
 
 
 def _storeys(
