@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from test.helpers_bags import flat
+from test.helpers_bags import flat, write_scan_bag
 from topometric_ros.cli.main import main
 from topometric_ros.io import pointcloud2
 from topometric_ros.io.clouds import CloudError, read_cloud
@@ -159,3 +159,23 @@ def test_a_picture_of_more_pixels_than_memory_holds_is_refused(
         struct.pack_into(">I", raw, 29, zlib.crc32(raw[12:29]))
         plan.write_bytes(raw)
         assert f"{plan}: " in told(["simulate", plan, "-o", tmp_path], capsys)
+
+
+def test_a_frame_that_is_not_above_the_scans_is_told_with_those_that_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_scan_bag(tmp_path / "walk", flat())
+    for command in ("extract", "replay"):
+        line = told([command, bag, "-o", tmp_path / "out", "--map-frame", "nap"], capsys)
+        assert line.endswith("expected nap above lidar on /tf, got lidar, base_link, odom, map")
+
+
+def test_text_clouds_of_other_names_are_read_and_topics_of_files_are_not(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "a.csv").write_text("x;y;z\n1,5;2;3\n")
+    (tmp_path / "a.pts").write_text("2\n1 2 3 -4 9 9 9\n5 6 7 0 9 9 9\n")
+    assert read_cloud(tmp_path / "a.csv").points.tolist() == [[1.5, 2, 3]]
+    assert read_cloud(tmp_path / "a.pts").points.tolist() == [[1, 2, 3], [5, 6, 7]]
+    source = f"{folder / 'a.npy'}:/cloud"
+    assert "a cloud file has no topics" in told(["extract", source, "-o", tmp_path], capsys)

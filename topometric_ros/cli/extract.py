@@ -28,7 +28,8 @@ def add_parser(commands: Any) -> None:
     command.add_argument(
         "cloud",
         metavar="CLOUD",
-        help=".ply, .pcd, .xyz, .txt, .npy, .npz, .las, .laz, .e57, or BAG[:TOPIC]",
+        help=".ply, .pcd, .las, .laz, .e57, .npy, .npz, text (.xyz, .txt, .csv, .asc, .pts), or "
+        "BAG[:TOPIC]",
     )
     command.add_argument(
         "--agent", metavar="ID", help="name of the agent (default: topic's namespace or file stem)"

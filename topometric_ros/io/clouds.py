@@ -77,7 +77,7 @@ def up_rotation(up: str) -> NDArray[np.float64]:
 
 
 def read_cloud(path: Path | str, up: str = "z", scale: float = 1.0) -> Cloud:
-    """Read a point cloud: .ply, .pcd, .xyz, .txt, .npy, .npz, .las, .laz or .e57.
+    """Read a point cloud: .ply, .pcd, .npy, .npz, .las, .laz, .e57 or text (.xyz, .txt, .csv, ...).
 
     Parameters
     ----------
@@ -194,8 +194,7 @@ def _entry(path: Path, archive: Any) -> NDArray[Any]:
 _READERS: dict[str, Callable[[Path], NDArray[np.float64]]] = {
     ".ply": read_ply_points,
     ".pcd": read_pcd_points,
-    ".xyz": read_text_points,
-    ".txt": read_text_points,
+    **dict.fromkeys((".xyz", ".txt", ".csv", ".asc", ".pts"), read_text_points),
     ".npy": _read_numpy,
     ".npz": _read_numpy,
     ".las": read_las_points,

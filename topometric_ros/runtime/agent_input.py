@@ -75,6 +75,8 @@ class AgentInput:
         self.skipped_count = 0
         self.overflowed = 0
         """How many of them gave way to newer scans while they waited for transforms."""
+        self.astray = ""
+        """What is wrong where clouds lie on /tf, but not below the map's frame that was named."""
         self._map_frame = map_frame.lstrip("/")
         self._sensor_frame = sensor_frame.lstrip("/")
         self._waiting: deque[_Scan] = deque()
@@ -173,7 +175,10 @@ class AgentInput:
         if frame_id not in self.transforms.frames():
             return False
         target = self._map_frame or self.transforms.map_frame(frame_id)
-        return target != frame_id and target in self.transforms.ancestors(frame_id)
+        above = self.transforms.ancestors(frame_id)
+        if target != frame_id and target not in above:
+            self.astray = f"expected {target} above {frame_id} on /tf, got {', '.join(above)}"
+        return target != frame_id and target in above
 
     def _place_waiting(self) -> None:
         while self._waiting and self._place(self._waiting[0]):

@@ -64,8 +64,10 @@ class BagInput:
             logger.warning("%s: a message was refused: %s", self.source.text, error)
 
     def require_input(self) -> None:
-        """Raise CloudError where nothing of the source could be used."""
+        """Raise CloudError where nothing of the source could be used, or not as it was asked."""
         self.agent_input.finish()
+        if self.agent_input.astray:
+            raise CloudError(f"{self.source.text}: map frame: {self.agent_input.astray}")
         if self.map is not None or self.agent_input.session.has_input:
             return
         reasons = self.refused + self.agent_input.skipped

@@ -115,8 +115,9 @@ def load_source(
         return LoadedMap(dataclasses.replace(m, agent=agent), source.text, trajectory=way)
     if is_bag(source.path):
         return load_bag_source(one_bag_source(source), config, options, progress)
-    if source.topic is not None and not Path(source.path).exists():
-        raise SourceError(f"{source.text}: no such file")
+    if source.topic is not None:
+        missing = "a cloud file has no topics" if source.path.exists() else "no such file"
+        raise SourceError(f"{source.text}: {missing}")
     progress(f"reading {source.path}")
     cloud = read_cloud(source.path, options.up, options.scale)
     agent = source.agent or readable(source.path.stem)
