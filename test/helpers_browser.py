@@ -64,7 +64,7 @@ class BrowserPage:
         trace: TracebackType | None,
     ) -> None:
         self._process.terminate()
-        self._process.communicate(timeout=60)
+        self._process.communicate(timeout=300)
 
     def value(self, expression: str) -> Any:
         """Return what an expression is in the page."""
@@ -72,7 +72,7 @@ class BrowserPage:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def wait_for(self, expression: str, seconds: float = 120.0) -> None:
+    def wait_for(self, expression: str, seconds: float = 300.0) -> None:
         """Return as soon as an expression is true in the page."""
         end = time.monotonic() + seconds
         while not self.value(f"!!({expression})"):
@@ -114,7 +114,7 @@ class BrowserPage:
 
     def _next(self) -> Any:
         while b"\0" not in self._buffer:
-            ready, _, _ = select.select([self._in], [], [], 120.0)
+            ready, _, _ = select.select([self._in], [], [], 300.0)
             assert ready, "the browser does not answer"
             data = os.read(self._in, 1 << 16)
             assert data, "the browser has ended"

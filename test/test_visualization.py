@@ -226,5 +226,5 @@ def test_a_browser_shows_every_picture_and_opens_one_large(merged_page, tmp_path
     command += [f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()]
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         command.insert(1, "--no-sandbox")
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
     assert "<title>[5,true,true,true]</title>" in done.stdout
