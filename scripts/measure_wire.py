@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from topometric_ros import topometric_map
+from topometric_ros import map_checks, topometric_map
 from topometric_ros.evaluation.metrics_fusion import bytes_on_the_wire
 from topometric_ros.fusion.align import align
 from topometric_ros.fusion.prepared import Prepared
@@ -39,7 +39,8 @@ _EXACT = 240
 
 def set_steps(steps: int) -> None:
     """Have every part that reads or makes mean points use so many steps an axis."""
-    topometric_map.OFFSET_STEPS = grid.OFFSET_STEPS = steps
+    for module in (topometric_map, map_checks, grid):
+        module.OFFSET_STEPS = steps  # type: ignore[attr-defined]
 
 
 def stepped(m: TopometricMap, steps: int) -> np.ndarray:

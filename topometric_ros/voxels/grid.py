@@ -124,18 +124,19 @@ def surface_offsets(
 
 def offsets_of_means(mean: NDArray[np.float64], grid: VoxelGrid) -> NDArray[np.int8]:
     """Return what :func:`surface_offsets` does of the mean (N, 3), m, of each cell's points."""
-    offsets: NDArray[np.int8] = _steps(mean, grid.coords, grid.origin, grid.voxel_size)
+    where = grid.coords, grid.origin, grid.voxel_size
+    offsets: NDArray[np.int8] = _steps(mean, *where, OFFSET_STEPS)
     return offsets
 
 
 @njit(cache=True, nogil=True)
-def _steps(mean, coords, origin, voxel_size):  # type: ignore[no-untyped-def]
+def _steps(mean, coords, origin, voxel_size, count):  # type: ignore[no-untyped-def]
     steps = np.empty(coords.shape, np.int8)
     for row in range(len(coords)):
         for axis in range(3):
             centre = origin[axis] + coords[row, axis] * voxel_size
-            step = np.floor((mean[row, axis] - centre) / voxel_size * OFFSET_STEPS)
-            steps[row, axis] = min(max(step, -OFFSET_STEPS // 2), OFFSET_STEPS // 2 - 1)
+            step = np.floor((mean[row, axis] - centre) / voxel_size * count)
+            steps[row, axis] = min(max(step, -count // 2), count // 2 - 1)
     return steps
 
 
