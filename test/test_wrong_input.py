@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from test.helpers_bags import flat, write_scan_bag
+from test.helpers_bags import START, cloud, flat, write_scan_bag
 from topometric_ros.cli.main import main
 from topometric_ros.io import pointcloud2
+from topometric_ros.io.bag_messages import CLOUD_TYPE
+from topometric_ros.io.bag_writer import BagWriter
+from topometric_ros.io.bags import Bag
 from topometric_ros.io.clouds import CloudError, read_cloud
 
 
@@ -179,3 +182,22 @@ def test_text_clouds_of_other_names_are_read_and_topics_of_files_are_not(
     assert read_cloud(tmp_path / "a.pts").points.tolist() == [[1, 2, 3], [5, 6, 7]]
     source = f"{folder / 'a.npy'}:/cloud"
     assert "a cloud file has no topics" in told(["extract", source, "-o", tmp_path], capsys)
+
+
+def test_scans_without_their_transforms_are_not_taken_for_maps_in_silence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walk, bare, maps = (tmp_path / name for name in ("walk", "bare", "maps"))
+    write_scan_bag(walk, flat())
+    with Bag(walk) as bag, BagWriter(bare) as out:
+        out.add_topic("/scan_cloud", CLOUD_TYPE)
+        for entry in bag.messages(["/scan_cloud"]):
+            out.write("/scan_cloud", entry.time, entry.message)
+    with BagWriter(maps) as out:
+        out.add_topic("/cloud_map", CLOUD_TYPE)
+        for count in (2, 1):
+            out.write("/cloud_map", START + count, cloud(flat()[::count], "map", START + count))
+    for bag_path, warned in ((walk, False), (bare, True), (maps, False)):
+        assert main(["extract", str(bag_path), "-o", str(tmp_path / "out")]) == 0
+        out_text = capsys.readouterr().out
+        assert ("if they are single scans, /tf or /tf_static lacks lidar" in out_text) == warned

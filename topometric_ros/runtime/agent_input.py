@@ -24,6 +24,7 @@ from topometric_ros.runtime.transforms import (
     TransformError,
     TransformNotYetError,
 )
+from topometric_ros.runtime.whole_maps import WholeMaps
 
 logger = logging.getLogger(__name__)
 
@@ -75,6 +76,7 @@ class AgentInput:
         self.skipped_count = 0
         self.overflowed = 0
         """How many of them gave way to newer scans while they waited for transforms."""
+        self.whole_maps = WholeMaps()
         self.astray = ""
         """What is wrong where clouds lie on /tf, but not below the map's frame that was named."""
         self._map_frame = map_frame.lstrip("/")
@@ -88,6 +90,7 @@ class AgentInput:
         """Forget every cloud, taken or waiting; a new session begins. Transforms stay."""
         self._waiting.clear()
         self._taken_as_map = ""
+        self.whole_maps = WholeMaps()
         self.skipped, self.skipped_count, self.overflowed = [], 0, 0
         self.session.reset()
 
@@ -120,6 +123,8 @@ class AgentInput:
         frame_id = frame_id.lstrip("/")
         if not self._is_scan(frame_id):
             self._taken_as_map = frame_id
+            if self.mode == "auto":
+                self.whole_maps.add(points, frame_id)
             self.session.add_map_cloud(points, frame_id, stamp, dropped)
             return
         if frame_id == self._taken_as_map:

@@ -82,4 +82,6 @@ class BagInput:
         skipped = self.agent_input.skipped_count
         if skipped:
             found.append(f"{skipped} scans or transforms skipped: {self.agent_input.skipped[-1]}")
+        if doubt := self.agent_input.whole_maps.doubt():
+            found.append(doubt)
         return tuple(found)
