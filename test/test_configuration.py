@@ -8,6 +8,7 @@ import pytest
 from topometric_ros.configuration import (
     flatten,
     from_nested,
+    near_names,
     nested,
     parameter,
     parameters,
@@ -46,6 +47,14 @@ def test_nested_configurations_have_dotted_names():
 def test_the_file_form_reads_back_to_the_same_configuration():
     changed = with_values(Outer(), {"inner.height": 0.5, "sources": ["rooms", "search"]})
     assert from_nested(Outer(), nested(changed)) == changed
+
+
+def test_a_misspelt_name_is_answered_with_what_may_have_been_meant():
+    known = list(flatten(extraction_preset("default")))
+    assert near_names("voxelsize", known)[0] == "voxel_size"
+    assert near_names("stairs.headroom", known)[0] == "storeys.headroom"
+    with pytest.raises(ConfigurationError, match=r"'rooms'; .*and \d+ more$"):
+        with_values(extraction_preset("default"), {"rooms": 2})
 
 
 def test_whole_numbers_serve_where_a_length_is_asked_for():

@@ -78,6 +78,16 @@ def test_overrides_reach_the_configuration_in_its_own_types(context: Any) -> Non
     node.destroy_node()
 
 
+def test_a_misspelt_override_is_told_with_the_name_that_it_is_like(
+    context: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node = make_node(context, "wals.thickness:=0.3", "quite_other:=1")
+    parameters.declare(node, (Stage(),), fixed=())
+    told = "unknown parameters are ignored: quite_other, wals.thickness (did you mean walls.thick"
+    assert told in capfd.readouterr().err
+    node.destroy_node()
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [

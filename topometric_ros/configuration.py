@@ -12,7 +12,7 @@ import dataclasses
 import difflib
 import importlib.util
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -228,12 +228,17 @@ def with_values(config: ConfigT, values: Mapping[str, Any]) -> ConfigT:
     return _replace(config, {n: known[n].check(v) for n, v in values.items()}, "")
 
 
+def near_names(name: str, known: Sequence[str]) -> list[str]:
+    """Return which of the known names may have been meant by an unknown one, likeliest first."""
+    leaves = [other for other in known if other.rsplit(".", 1)[-1] == name.rsplit(".", 1)[-1]]
+    return list(dict.fromkeys([*leaves, *difflib.get_close_matches(name, known)]))
+
+
 def _likely(name: str, known: list[str]) -> str:
     """Return which names may have been meant: those like it, or all where they are few."""
-    leaves = [other for other in known if other.rsplit(".", 1)[-1] == name.rsplit(".", 1)[-1]]
-    near = [*leaves, *difflib.get_close_matches(name, known)]
+    near = near_names(name, known)
     if near and len(known) > _MANY:
-        return f"did you mean {' or '.join(dict.fromkeys(near))}?"
+        return f"did you mean {' or '.join(near)}?"
     shown = known if len(known) <= _MANY else [*known[:_MANY], f"and {len(known) - _MANY} more"]
     return f"known: {', '.join(shown)}"
 

@@ -20,7 +20,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from topometric_ros.configuration import ParameterInfo, parameters, with_values
+from topometric_ros.configuration import ParameterInfo, near_names, parameters, with_values
 from topometric_ros.errors import ConfigurationError
 
 _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -125,7 +125,9 @@ def _warn_of_unknown(node: Node, known: set[str]) -> None:
     given = [name for name in node.get_parameters_by_prefix("") if name not in known]
     unknown = sorted(name for name in given if not name.startswith(_OF_RCLPY))
     if unknown:
-        node.get_logger().warning(f"unknown parameters are ignored: {', '.join(unknown)}")
+        near = {name: near_names(name, sorted(known)) for name in unknown}
+        told = [f"{n} (did you mean {near[n][0]}?)" if near[n] else n for n in unknown]
+        node.get_logger().warning(f"unknown parameters are ignored: {', '.join(told)}")
 
 
 def _descriptor(info: ParameterInfo, read_only: bool) -> ParameterDescriptor:
