@@ -11,6 +11,7 @@ import fcntl
 import heapq
 import os
 import random
+import secrets
 import select
 import shutil
 import struct
@@ -35,7 +36,7 @@ def missing() -> str:
         return "no ip (iproute2)"
     if not Path("/dev/net/tun").exists():
         return "no /dev/net/tun"
-    name = f"tm{os.getpid() % 10_000}t"
+    name = f"tm{secrets.token_hex(3)}t"
     tried = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True)
     if tried.returncode != 0:
         return f"network namespaces are not allowed: {tried.stderr.strip()}"
@@ -120,7 +121,7 @@ def _tap(name: str, namespace: str, address: str) -> int:
 @contextlib.contextmanager
 def namespaces(seed: int = 0) -> Iterator[tuple[tuple[str, str], Radio]]:
     """Yield the names of two namespaces and the radio between them; all of it is gone after."""
-    stem = f"tm{os.getpid() % 10_000}"
+    stem = f"tm{secrets.token_hex(3)}"  # An interface's name has 15 letters at most.
     names = (f"{stem}a", f"{stem}b")
     ends: list[int] = []
     try:

@@ -307,6 +307,17 @@ def cloud_message(points: np.ndarray, frame_id: str, point_step: int = 12) -> An
     return message
 
 
+def transform_matrix(transform: Any) -> np.ndarray:
+    """Return a geometry_msgs/Transform as (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    q, t = transform.rotation, transform.translation
+    T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    T[:3, 3] = t.x, t.y, t.z
+    return T
+
+
 def set_parameters(own: Graph, node: str, values: dict[str, float]) -> list[str]:
     """Set parameters one by one over the node's service; return why each was refused."""
     from rcl_interfaces.srv import SetParameters

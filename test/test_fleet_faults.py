@@ -15,7 +15,7 @@ import pytest
 
 from test import helpers_ros
 from test.helpers import box_room
-from test.helpers_ros import Graph, cloud_message, service, wait_for
+from test.helpers_ros import Graph, NodeProcess, cloud_message, service, wait_for
 
 pytestmark = [
     pytest.mark.dds,
@@ -92,71 +92,75 @@ class Fleet:
         return wait_for(found, WORK_S, f"{text!r} of {name}", (self._process,))
 
 
+def refuses_lies(fleet: Fleet, publisher: Any) -> None:
+    """Raw bytes that are no message, a message of another agent, and one of a whole fleet."""
+    publisher.publish(b"\x00\x01\x00\x00" + bytes(range(256)))
+    publisher.publish(room_map("a", sequence=7))
+    fleet.told("/b/topometric_map", "whose maps come on another topic")
+    whole = room_map("b", sequence=8)
+    whole.observers = ["x", "y"]
+    publisher.publish(whole)
+    fleet.told("/b/topometric_map", "a global map, of x, y")
+
+
+def keeps_its_state_on_a_full_disk(
+    fleet: Fleet, merger: NodeProcess, publisher: Any, state: Path
+) -> None:
+    """What was saved before stays whole, the merger goes on, and saves again when it can."""
+    from topometric_ros.runtime.merger_state import load_state
+
+    kept = lambda: load_state(state).maps["b"].sequence  # noqa: E731
+    wait_for(lambda: state.exists() and "b" in load_state(state).maps, WORK_S, "state file")
+    wait_for(lambda: kept() == 2, WORK_S, "b's newest map in the state file")
+    size = state.stat().st_size // 2
+    before = resource.prlimit(merger.pid, resource.RLIMIT_FSIZE, (size, -1))
+    publisher.publish(room_map("b", sequence=3, width=4.5))
+    fleet.at("b", sequence=3)
+    fleet.told("merge", "the state was not saved")
+    assert kept() == 2
+    left = lambda: list(state.parent.glob(".state.*.partial"))  # noqa: E731
+    wait_for(lambda: not left(), WORK_S, "end of half a file, which takes what others need")
+    resource.prlimit(merger.pid, resource.RLIMIT_FSIZE, before)
+    publisher.publish(room_map("b", sequence=4))
+    wait_for(lambda: kept() == 4, WORK_S, "state written again")
+
+
 def test_agents_that_nobody_listed_come_lie_leave_and_come_back(
     own: Graph, start: Any, tmp_path: Path
 ) -> None:
     from topometric_msgs.msg import TopometricMap
 
     from topometric_ros.nodes import qos
-    from topometric_ros.runtime.merger_state import load_state
 
     state = tmp_path / "state"
     merger = start(
         MERGER, "-p", "stale_after:=1.0", "-p", "max_rate:=20.0", "-p", f"state_file:={state}"
     )
     fleet = Fleet(own, merger)
-    publishers = {
-        agent: own.node.create_publisher(TopometricMap, f"/{agent}/topometric_map", qos.SNAPSHOT)
+    a, b = (
+        own.node.create_publisher(TopometricMap, f"/{agent}/topometric_map", qos.SNAPSHOT)
         for agent in "ab"
-    }
-    first = {agent: room_map(agent) for agent in "ab"}
-    publishers["a"].publish(first["a"])
+    )
+    a.publish(room_map("a"))
     fleet.at("a", sequence=1)
-    publishers["b"].publish(first["b"])
+    b.publish(room_map("b"))
     fleet.at("b", sequence=1, stale=False)
-
-    # Raw bytes that are no message, a message of another agent, and one of a whole fleet.
-    publishers["b"].publish(b"\x00\x01\x00\x00" + bytes(range(256)))
-    stolen = room_map("a", sequence=7)
-    publishers["b"].publish(stolen)
-    fleet.told("/b/topometric_map", "whose maps come on another topic")
-    whole = room_map("b", sequence=8)
-    whole.observers = ["x", "y"]
-    publishers["b"].publish(whole)
-    fleet.told("/b/topometric_map", "a global map, of x, y")
+    refuses_lies(fleet, b)
 
     # Newer, older, the same again: the newest stays.
-    publishers["a"].publish(room_map("a", sequence=5))
+    a.publish(room_map("a", sequence=5))
     fleet.at("a", sequence=5)
     for sequence in (3, 5, 4):
-        publishers["a"].publish(room_map("a", sequence=sequence))
-    publishers["b"].publish(room_map("b", sequence=2))
+        a.publish(room_map("a", sequence=sequence))
+    b.publish(room_map("b", sequence=2))
     fleet.at("b", sequence=2)
     assert fleet.agent("a").sequence == 5
-
-    # A full disk: what was saved before stays whole, and the merger goes on.
-    kept = lambda: load_state(state).maps["b"].sequence  # noqa: E731
-    wait_for(lambda: state.exists() and "b" in load_state(state).maps, WORK_S, "state file")
-    wait_for(lambda: kept() == 2, WORK_S, "b's newest map in the state file")
-    size = state.stat().st_size // 2
-    before = resource.prlimit(merger.pid, resource.RLIMIT_FSIZE, (size, -1))
-    publishers["b"].publish(room_map("b", sequence=3, width=4.5))
-    fleet.at("b", sequence=3)
-    fleet.told("merge", "the state was not saved")
-    assert kept() == 2
-    left = lambda: list(tmp_path.glob(".state.*.partial"))  # noqa: E731
-    wait_for(
-        lambda: not left(), WORK_S, "end of the half-written file, which takes what others need"
-    )
-    resource.prlimit(merger.pid, resource.RLIMIT_FSIZE, before)
-    publishers["b"].publish(room_map("b", sequence=4))
-    wait_for(lambda: kept() == 4, WORK_S, "state written again")
+    keeps_its_state_on_a_full_disk(fleet, merger, b, state)
 
     # An agent leaves: its map is kept and marked. It comes back as a new session.
-    own.node.destroy_publisher(publishers["b"])
+    own.node.destroy_publisher(b)
     fleet.at("b", stale=True, sequence=4)
-    entry = fleet.told("/b/topometric_map", "has been gone for")
-    assert entry.level == b"\x03"
+    assert fleet.told("/b/topometric_map", "has been gone for").level == b"\x03"
     again = own.node.create_publisher(TopometricMap, "/b/topometric_map", qos.SNAPSHOT)
     again.publish(room_map("b", session="s2"))
     fleet.at("b", stale=False, session="s2")

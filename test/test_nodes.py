@@ -12,7 +12,14 @@ import pytest
 
 from test import helpers_ros
 from test.helpers import box_room
-from test.helpers_ros import Graph, cloud_message, service, set_parameters, wait_for
+from test.helpers_ros import (
+    Graph,
+    cloud_message,
+    service,
+    set_parameters,
+    transform_matrix,
+    wait_for,
+)
 
 pytestmark = [
     pytest.mark.dds,
@@ -38,16 +45,6 @@ def difference(T_found: np.ndarray, T_true: np.ndarray) -> tuple[float, float]:
     D = np.linalg.inv(T_true) @ T_found
     angle = np.degrees(np.arccos(np.clip((np.trace(D[:3, :3]) - 1) / 2, -1, 1)))
     return float(np.linalg.norm(D[:3, 3])), float(angle)
-
-
-def matrix(transform: Any) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    T = np.eye(4)
-    q, t = transform.rotation, transform.translation
-    T[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    T[:3, 3] = t.x, t.y, t.z
-    return T
 
 
 def test_two_robots_recorded_scans_become_one_global_map(
@@ -110,7 +107,7 @@ def test_two_robots_recorded_scans_become_one_global_map(
 def placements(transforms: Any, agents: tuple[str, ...]) -> dict[str, Any] | None:
     """Return the newest transform of each agent to the global frame, once all are there."""
     found = {
-        entry.child_frame_id.split("/")[0]: matrix(entry.transform)
+        entry.child_frame_id.split("/")[0]: transform_matrix(entry.transform)
         for message in list(transforms.messages)
         for entry in message.transforms
         if entry.header.frame_id == "global"
@@ -195,154 +192,3 @@ def test_a_wrong_parameter_ends_the_node_with_one_line_and_status_two(start: Any
     assert process.wait(START_S) == 2
     assert process.log.count("voxel_size: expected") == 1
     assert "Traceback" not in process.log
-
-
-def small_map(agent: str, size: tuple[float, float, float]) -> Any:
-    """One room, extracted here; its map frame is called `map`, as on every robot."""
-    from topometric_ros.extraction.config import extraction_preset
-    from topometric_ros.matching.config import matching_preset
-    from topometric_ros.runtime.extract_map import extract_map
-
-    points = box_room((0.0, 0.0, 0.0), size)
-    identity = {"agent": agent, "session": "s1", "sequence": 1, "frame_id": "map", "stamp": 1}
-    return extract_map(
-        points, extraction_preset("default"), matching_preset("default"), **identity
-    ).map
-
-
-def test_a_merger_publishes_only_what_is_known_and_obeys_its_operator(
-    own: Graph, start: Any, tmp_path: Path
-) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-    from nav_msgs.msg import OccupancyGrid
-    from tf2_msgs.msg import TFMessage
-    from topometric_msgs.msg import TopometricMap
-
-    from topometric_ros.io.map_files import load_global_map, save_map
-    from topometric_ros.nodes import qos
-    from topometric_ros.nodes.messages import message_classes
-    from topometric_ros.runtime.message_codec import map_to_message
-
-    process = start(MERGER, "-p", "agents:=[/a, /b]", "-p", "max_rate:=10.0")
-    transforms = own.subscribe(TFMessage, "/tf", qos.TRANSFORMS)
-    diagnostics = own.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
-    grids = own.subscribe(OccupancyGrid, "/global_grid", qos.SNAPSHOT)
-    publisher = own.node.create_publisher(TopometricMap, "/a/topometric_map", qos.SNAPSHOT)
-
-    def placed(*children: str) -> Any:
-        """Wait until the newest message on /tf places these; return it."""
-
-        def found() -> Any:
-            message = transforms.last if len(transforms) else TFMessage()
-            names = {entry.child_frame_id for entry in message.transforms}
-            return message if names == set(children) else None
-
-        return wait_for(found, WORK_S, f"/tf of {children}", (process,))
-
-    def call(name: str, **fields: Any) -> Any:
-        request = service(name).Request(**fields)
-        snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)[1:]
-        return own.call(service(name), f"/merger/{snake}", request)
-
-    assert call("MergeNow").code == 1, "nothing has arrived yet"
-    message = map_to_message(small_map("a", (4.0, 5.0, 2.6)), message_classes())
-    wrong = map_to_message(small_map("a", (4.0, 5.0, 2.6)), message_classes())
-    wrong.voxel_count += 1
-    publisher.publish(wrong)
-    refused = lambda: any(  # noqa: E731
-        "/a/topometric_map" in status.name and "refused" in status.message
-        for entry in list(diagnostics.messages)
-        for status in entry.status
-    )
-    wait_for(refused, START_S, "diagnostics entry of the refused map", (process,))
-    publisher.publish(message)
-    placed("map")
-    assert process.log.count("refused") == 1
-    grid = wait_for(lambda: grids.last if len(grids) else None, WORK_S, "global_grid", (process,))
-    assert grid.header.frame_id == "global"
-    seen = np.array(grid.data).reshape(grid.info.height, grid.info.width)
-    floor = (seen == 0).sum() * grid.info.resolution**2
-    assert floor == pytest.approx(4.0 * 5.0, rel=0.2), "the free floor of a room of 4 m x 5 m"
-    assert (seen[:, [0, -1]] != 0).all(), "closed off by walls"
-    before = len(grids)
-    assert set_parameters(own, "/merger", {"grid_storey": 0}) == [""]
-    wait_for(lambda: len(grids) > before, WORK_S, "global_grid of the storey asked for", (process,))
-    assert set_parameters(own, "/merger", {"grid_storey": 7}) == [""]
-    wait_for(lambda: "no storey 7; known: 0" in process.log, WORK_S, "what there is", (process,))
-
-    path = tmp_path / "b.tmap"
-    save_map(path, small_map("b", (7.0, 3.0, 2.9)))
-    assert call("LoadMap", path=str(path), agent="c").code == 4
-    assert call("LoadMap", path=str(tmp_path / "none.tmap"), agent="b").code == 3
-    assert call("LoadMap", path=str(path), agent="").agent == "b"
-    response = call("MergeNow")
-    assert (response.code, response.agents, response.aligned) == (0, 2, 1)
-    placed("a/map")  # b is not aligned, so nothing is said of it
-    assert "is in use already" in process.log
-
-    T = np.eye(4)
-    T[0, 3] = 10.0
-    assert call("SetAlignment", agent_a="a", agent_b="c", t_a_b=T.ravel()).code == 4
-    assert call("SetAlignment", agent_a="a", agent_b="b", t_a_b=2 * T.ravel()).code == 5
-    pair = {"agent_a": "a", "agent_b": "b", "t_a_b": T.ravel()}
-    assert call("SetAlignment", **pair, covariance=-np.eye(6).ravel()).code == 7
-    assert call("SetAlignment", **pair, covariance=0.01 * np.eye(6).ravel()).code == 0
-    assert call("MergeNow").aligned == 2
-    (of_b,) = (e for e in placed("a/map", "b/map").transforms if e.child_frame_id == "b/map")
-    np.testing.assert_allclose(matrix(of_b.transform), T, atol=1e-9)
-    assert call("SaveMap", path=str(tmp_path / "global.tmap")).code == 0
-    assert load_global_map(tmp_path / "global.tmap")[2] == ("a", "b")
-
-    assert call("RemoveAlignment", agent_a="a", agent_b="b").code == 0
-    assert call("MergeNow").aligned == 1
-    removed = call("RemoveAlignment", agent_a="a", agent_b="b")
-    assert (removed.code, removed.message) == (
-        0,
-        "a and b: removed by hand, until it is allowed",
-    )
-    assert call("RemoveAlignment", agent_a="b", agent_b="a").code == 6
-    assert call("MergeNow").aligned == 1
-    assert "a and b: withdrawn: removed by hand" in process.log
-    assert call("RemoveAlignment", agent_a="a", agent_b="b", allow=True).code == 0
-    assert call("RemoveAlignment", agent_a="a", agent_b="b", allow=True).code == 6
-    placed("a/map")
-    assert call("Reset").code == 0
-    assert call("SaveMap", path=str(tmp_path / "none.tmap")).code == 1
-    assert process.stop(signal.SIGTERM) == 0
-
-
-def test_a_killed_merger_takes_up_what_it_knew(own: Graph, start: Any, tmp_path: Path) -> None:
-    from tf2_msgs.msg import TFMessage
-
-    from topometric_ros.io.map_files import save_map
-    from topometric_ros.nodes import qos
-
-    state = tmp_path / "state"
-    arguments = ("-p", "agents:=[/a, /b]", "-p", "max_rate:=10.0", "-p", f"state_file:={state}")
-    first = start(MERGER, *arguments)
-    for agent, size in (("a", (4.0, 5.0, 2.6)), ("b", (7.0, 3.0, 2.9))):
-        save_map(tmp_path / f"{agent}.tmap", small_map(agent, size))
-        request = service("LoadMap").Request(path=str(tmp_path / f"{agent}.tmap"), agent=agent)
-        assert own.call(service("LoadMap"), "/merger/load_map", request).code == 0
-    T = np.eye(4)
-    T[0, 3] = 10.0
-    request = service("SetAlignment").Request(agent_a="a", agent_b="b", t_a_b=T.ravel())
-    assert own.call(service("SetAlignment"), "/merger/set_alignment", request).code == 0
-    assert state.exists(), "what was set by hand is kept when the service has answered"
-    request = service("MergeNow").Request()
-    assert own.call(service("MergeNow"), "/merger/merge_now", request).aligned == 2
-    first.stop(signal.SIGKILL)
-
-    second = start(MERGER, *arguments)
-    transforms = own.subscribe(TFMessage, "/tf", qos.TRANSFORMS)
-    wait_for(
-        lambda: (
-            len(transforms)
-            and {"a/map", "b/map"} == {e.child_frame_id for e in transforms.last.transforms}
-        ),
-        START_S,
-        "/tf of both agents, of whom nothing was sent again",
-        (second,),
-    )
-    assert "took up the maps of a, b" in second.log
-    assert second.stop(signal.SIGTERM) == 0

@@ -48,10 +48,34 @@ def dumped(own: Graph) -> dict[str, Any]:
     return dict(zip(names, listed, strict=True))
 
 
+class Told:
+    """What /diagnostics say of the extractor's input."""
+
+    def __init__(self, own: Graph) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        from topometric_ros.nodes import qos
+
+        self._diagnostics = own.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+
+    def newest(self) -> Any:
+        """Return level, message and values of the newest status."""
+        for message in reversed(list(self._diagnostics.messages)):
+            for entry in message.status:
+                if entry.name == f"{NODE}: input":
+                    return entry.level, entry.message, {v.key: v.value for v in entry.values}
+        return b"", "", {}
+
+    def given_up(self) -> Any:
+        """Return level and message once the first scan that lacked a transform was given up."""
+        level, message, values = self.newest()
+        gone = values.get("without transform") == "1" and "no scan could be placed" in message
+        return (level, message) if gone else None
+
+
 def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
     own: Graph, start: Any, tmp_path: Path
 ) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.duration import Duration
     from sensor_msgs.msg import PointCloud2
     from tf2_msgs.msg import TFMessage
@@ -67,30 +91,15 @@ def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
     clouds = own.node.create_publisher(PointCloud2, "/scout/cloud", qos.CLOUD_RELIABLE)
     static = own.node.create_publisher(TFMessage, "/tf_static", qos.STATIC_TRANSFORMS)
     maps = own.subscribe(TopometricMap, "/scout/topometric_map", qos.SNAPSHOT)
-    diagnostics = own.subscribe(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
-
-    def status() -> Any:
-        """Return level, message and values of the newest status of the input."""
-        for message in reversed(list(diagnostics.messages)):
-            for entry in message.status:
-                if entry.name == f"{NODE}: input":
-                    return entry.level, entry.message, {v.key: v.value for v in entry.values}
-        return b"", "", {}
-
+    told = Told(own)
     for publisher in (clouds, static):
         wait_for(publisher.get_subscription_count, WORK_S, "extractor", (process,))
     static.publish(static_transform("odom", "lidar"))
     room = cloud_message(box_room((0.0, 0.0, 0.0), (4.0, 5.0, 2.6)), "lidar")
     clouds.publish(room)
-
-    def given_up() -> Any:
-        level, message, values = status()
-        gone = values.get("without transform") == "1" and "no scan could be placed" in message
-        return (level, message) if gone else None
-
-    told = wait_for(given_up, WORK_S, "diagnostics entry of the scan given up", (process,))
-    assert told[0] == b"\x01"
-    assert "no frame map" in told[1]
+    level, message = wait_for(told.given_up, WORK_S, "end of the scan's wait", (process,))
+    assert level == b"\x01"
+    assert "no frame map" in message
     wait_for(
         lambda: process.log.count("no frame map") == 1, WORK_S, "a line in the log", (process,)
     )
@@ -103,7 +112,7 @@ def test_a_missing_frame_is_named_and_an_unchanged_scan_makes_no_new_map(
     wait_for(lambda: len(maps), WORK_S, "map", (process,))
     assert (maps.last.header.frame_id, maps.last.sequence) == ("map", 1)
     clouds.publish(room)
-    held = lambda: status()[2].get("too little changed", "0") != "0"  # noqa: E731
+    held = lambda: told.newest()[2].get("too little changed", "0") != "0"  # noqa: E731
     wait_for(held, WORK_S, "diagnostics entry of the unchanged scan", (process,))
     assert len(maps) == 1
 
