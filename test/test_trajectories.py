@@ -73,6 +73,7 @@ def test_a_file_is_read_as_it_was_written_and_goes_with_the_last_trajectory(tmp_
     "text",
     [
         "[",
+        "[" * 100_000,
         '{"schema": "other/1", "agents": []}',
         '{"schema": "topometric-trajectories/1", "agents": '
         '[{"id": "a", "frame_id": "", "stamps": [1], "positions": []}]}',

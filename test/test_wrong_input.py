@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zlib
 from collections.abc import Sequence
@@ -201,3 +202,21 @@ def test_scans_without_their_transforms_are_not_taken_for_maps_in_silence(
         assert main(["extract", str(bag_path), "-o", str(tmp_path / "out")]) == 0
         out_text = capsys.readouterr().out
         assert ("if they are single scans, /tf or /tf_static lacks lidar" in out_text) == warned
+
+
+def test_a_damaged_model_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = tmp_path / "model.npz"
+    arrays = {"V": np.zeros((3, 3)), "F": np.zeros((1, 3), int), "face_element": np.zeros(1, int)}
+    room = {"storey": "0", "name": "a", "long": "", "z0": 0, "z1": 3}
+    ring = [[0, 0], [1e300, 0], [0, 1]]
+    truth = {"storeys": [["0", 0]], "rooms": [{**room, "polygon": [{"ext": ring, "holes": []}]}]}
+    np.savez(model, element_type=np.array(["IfcWall"]), **arrays)
+    for text, what in (
+        (json.dumps({**truth, "links": []}), "room 0: expected a polygon in metres"),
+        (json.dumps({**truth, "rooms": []}), "the model has no 'links'"),
+        ("[" * 100_000, "maximum recursion depth"),
+    ):
+        model.with_suffix(".json").write_text(text)
+        assert what in told(["simulate", model, "-o", tmp_path], capsys)
+    model.write_bytes(model.read_bytes()[:200])
+    assert f"{model}: cannot be read" in told(["simulate", model, "-o", tmp_path], capsys)

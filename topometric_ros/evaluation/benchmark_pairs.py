@@ -101,7 +101,7 @@ def read_truth(folder: Path) -> dict[str, Any]:
     try:
         truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         float(truth["overlap"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BenchmarkError(
             f"{folder / 'truth.json'}: not the truth of a pair: {error}"
         ) from error

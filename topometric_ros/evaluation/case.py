@@ -115,7 +115,7 @@ def _truth(folder: Path) -> dict[str, Any]:
     try:
         truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         truth["plan"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise EvaluationCaseError(
             f"{folder / 'truth.json'}: names no plan: {one_line(error)}"
         ) from error

@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 _MOST_COLUMNS = 100
 """An array with more is one whose points are its columns."""
 
-_DAMAGED = (
+DAMAGED_NUMPY = (
     ValueError, EOFError, OverflowError, SyntaxError, NotImplementedError, RuntimeError,
     TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
@@ -150,7 +150,7 @@ def _read_numpy(path: Path) -> NDArray[np.float64]:
                 array = _entry(path, archive)
         else:
             array = np.asarray(loaded)
-    except _DAMAGED as error:
+    except DAMAGED_NUMPY as error:
         raise CloudError(f"{path}: not a complete numpy file: {one_line(error)}") from error
     if array.ndim == 1 and {"x", "y", "z"} <= set(array.dtype.names or ()):
         array = np.column_stack([array[axis] for axis in "xyz"])

@@ -90,7 +90,7 @@ def read_trajectories(path: Path) -> tuple[AgentTrajectory, ...]:
         if content["schema"] != SCHEMA:
             raise ValueError(f"schema: expected {SCHEMA}, got {content['schema']!r}")
         return tuple(_trajectory(entry) for entry in content["agents"])
-    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise TrajectoryError(f"{source}: not a file of trajectories: {one_line(error)}") from error
 
 

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topometric_ros.errors import one_line
+from topometric_ros.io.clouds import DAMAGED_NUMPY
 from topometric_ros.simulation.building import BuildingError
 from topometric_ros.simulation.labelled import (
     STRUCTURE,
@@ -27,6 +29,9 @@ _LEFT_OUT = ("IfcSpace", "IfcDoor")
 """The air of a room, and the leaves of doors: without them every door stands open."""
 _MOVABLE = ("IfcFurnishingElement", "IfcFurniture", "IfcSystemFurnitureElement")
 """Washbasins and radiators (IfcFlowTerminal, IfcSpaceHeater) are fixed, proxies are anything."""
+
+_FARTHEST = 1e5
+"""m from the origin: a room's outline is walked along in steps."""
 
 
 def load_bim(path: Path) -> LabelledBuilding:
@@ -46,16 +51,16 @@ def load_bim(path: Path) -> LabelledBuilding:
         truth = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
         rooms = _rooms(truth)
         links = _links(truth["links"], rooms)
-    except (OSError, ValueError) as error:
-        raise BuildingError(f"{path}: cannot be read: {error}") from error
+        kept = ~np.isin(types, _LEFT_OUT)[element]
+        movable = np.isin(types, _MOVABLE)
+        tags = np.where(movable, np.cumsum(movable), STRUCTURE)[element[kept]]
+        return LabelledBuilding(
+            path.stem, vertices, faces[kept], rooms, links, face_tag=tags.astype(np.int32)
+        )
     except KeyError as error:
         raise BuildingError(f"{path}: the model has no {error}") from error
-    kept = ~np.isin(types, _LEFT_OUT)[element]
-    movable = np.isin(types, _MOVABLE)
-    tags = np.where(movable, np.cumsum(movable), STRUCTURE)[element[kept]]
-    return LabelledBuilding(
-        path.stem, vertices, faces[kept], rooms, links, face_tag=tags.astype(np.int32)
-    )
+    except (OSError, TypeError, IndexError, AttributeError, *DAMAGED_NUMPY) as error:
+        raise BuildingError(f"{path}: cannot be read: {one_line(error)}") from error
 
 
 def _rooms(truth: dict[str, Any]) -> tuple[TrueRoom, ...]:
@@ -67,6 +72,8 @@ def _rooms(truth: dict[str, Any]) -> tuple[TrueRoom, ...]:
         rings = []
         for part in room["polygon"]:
             rings += [np.array(ring, dtype=np.float64) for ring in (part["ext"], *part["holes"])]
+        if not all((np.abs(ring) <= _FARTHEST).all() for ring in rings):
+            raise ValueError(f"room {i}: expected a polygon in metres, up to {_FARTHEST:g}")
         rings = [ring[:-1] if np.array_equal(ring[0], ring[-1]) else ring for ring in rings]
         name = " ".join(word for word in (room["name"], room["long"]) if word)
         kind = kind_of_name(room["long"] or room["name"])

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.errors import one_line
+from topometric_ros.io.clouds import DAMAGED_NUMPY
 from topometric_ros.io.ply import read_ply_points, write_ply
 from topometric_ros.io.trajectories import AgentTrajectory, write_trajectories
 from topometric_ros.runtime.track import Track
@@ -85,7 +86,7 @@ def read_case(folder: Path) -> Case:
         overlap = np.array(truth.get("overlaps", [truth["overlap"]] * len(pairs)), dtype=float)
         edges = tuple((int(a), int(b)) for a, b in truth.get("edges", ()))
         return Case(str(truth["plan"]), int(truth["seed"]), agents, overlap, edges)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, KeyError, TypeError, *DAMAGED_NUMPY) as error:
         raise CaseError(f"{folder}: not a simulated case: {one_line(error)}") from error
 
 

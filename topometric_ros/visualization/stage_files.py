@@ -164,7 +164,7 @@ def _summary(path: Path) -> tuple[list[Alignment], dict[str, str]]:
         unknown = {name for a in alignments for name in a.agents} - sources.keys()
         if unknown:
             raise ValueError(f"no agent {min(unknown)!r}")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ViewError(f"{path}: not the summary of a merge: {one_line(error)}") from error
     return alignments, sources
 

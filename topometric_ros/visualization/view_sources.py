@@ -105,6 +105,6 @@ def _merge_summary(path: Path) -> tuple[tuple[Match, ...], _RoomsOf, dict[str, T
             for agent in summary["agents"]
             if agent.get("T_global_agent") is not None
         }
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
         raise ViewError(f"{path}: not the summary of a merge: {one_line(error)}") from error
     return matches, rooms_of, placed
