@@ -13,7 +13,7 @@ from topometric_ros.extraction.attributes import RoomAttributes, room_attributes
 from topometric_ros.extraction.mapped_rooms import MappedRooms
 from topometric_ros.extraction.room_kinds import GeometricClassifier, RoomClassifier, RoomView, told
 from topometric_ros.topometric_map import NO_ROOM, Passage, Room, triple
-from topometric_ros.voxels.grid import VoxelGrid
+from topometric_ros.voxels.grid import bounds
 
 
 def storeys_of_rooms(room: NDArray[np.int32], storey: NDArray[np.int32]) -> dict[int, int]:
@@ -53,12 +53,11 @@ def assemble_rooms(
     columns = _columns_of(rooms.columns.starts, rooms.columns.order, room).tolist()
     for room_id, rows in zip(ids.tolist(), np.split(order, starts[1:]), strict=True):
         if room_id != NO_ROOM:
-            storey = rooms.storey_of_room[room_id]
-            plain = _room(
-                rooms.grid, rows, room_id, storey, room_id not in reached, columns[room_id]
-            )
+            storey, size = rooms.storey_of_room[room_id], rooms.grid.voxel_size
+            points = rooms.grid.origin + rooms.grid.coords[rows] * size
+            plain = _room(points, size, room_id, storey, room_id not in reached, columns[room_id])
             found = measured[room_id]
-            view = _view(room_id, rows, found, passages, rooms.grid)
+            view = _view(room_id, points, size, found, passages)
             kind, sure = told(classifier, view)
             described.append(
                 replace(
@@ -77,17 +76,17 @@ def assemble_rooms(
 
 def _view(
     room: int,
-    rows: NDArray[np.int64],
+    points: NDArray[np.float64],
+    size: float,
     found: RoomAttributes,
     passages: Sequence[Passage],
-    grid: VoxelGrid,
 ) -> RoomView:
-    """Return what a classifier is shown of a room; `rows` are its voxels."""
+    """Return what a classifier is shown of a room; `points` are its voxels' centres."""
     own = [passage for passage in passages if room in passage.rooms]
     return RoomView(
         floor=found.floor,
-        cell=grid.voxel_size,
-        points=grid.origin + grid.coords[rows] * grid.voxel_size,
+        cell=size,
+        points=points,
         height=found.height,
         neighbours=len({other for passage in own for other in passage.rooms} - {room}),
         stairs=sum(passage.kind == "stairs" for passage in own),
@@ -95,27 +94,25 @@ def _view(
 
 
 def _room(
-    grid: VoxelGrid,
-    rows: NDArray[np.int64],
+    points: NDArray[np.float64],
+    size: float,
     room_id: int,
     storey: int,
     isolated: bool,
     columns: int,
 ) -> Room:
-    """Return the room of the voxels `rows` (n,), n > 0, of a grid; `bounds` hold whole cells.
+    """Return the room of the voxels of edge `size` round `points` (n, 3), n > 0.
 
-    `columns` is how many columns of voxels it has.
+    Its `bounds` hold whole cells; `columns` is how many columns of voxels it has.
     """
-    coords = grid.coords[rows]
-    centres = grid.origin + coords * grid.voxel_size
-    half = grid.voxel_size / 2
+    low, high = bounds(points)
     return Room(
         id=room_id,
         storey=storey,
-        centroid=triple(centres.mean(0)),
-        bounds=(triple(centres.min(0) - half), triple(centres.max(0) + half)),
-        voxels=len(rows),
-        area=columns * grid.voxel_size**2,
+        centroid=triple(points.mean(0)),
+        bounds=(triple(low - size / 2), triple(high + size / 2)),
+        voxels=len(points),
+        area=columns * size**2,
         isolated=isolated,
     )
 

@@ -137,7 +137,8 @@ def _area(coords: NDArray[np.int32], voxel_size: float) -> float:
     if len(coords) == 0:
         return 0.0
     flat = coords // (1, 1, max(1, round(1.0 / voxel_size)))
-    return len(np.unique(_keys(flat))) * voxel_size**2
+    keys = np.sort(_keys(flat))
+    return int(1 + np.count_nonzero(keys[1:] != keys[:-1])) * voxel_size**2
 
 
 def _keys(coords: NDArray[np.int64] | NDArray[np.int32]) -> NDArray[np.int64]:

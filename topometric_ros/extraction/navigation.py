@@ -24,7 +24,7 @@ from topometric_ros.extraction.columns import Columns, sort_columns
 from topometric_ros.extraction.storeys import StoreyHeights
 from topometric_ros.voxels.components import connected_components
 from topometric_ros.voxels.grid import VoxelGrid
-from topometric_ros.voxels.index import VoxelIndex
+from topometric_ros.voxels.index import VoxelIndex, row_at
 from topometric_ros.voxels.kernels import (
     Kernel,
     circle,
@@ -276,16 +276,31 @@ def _enclosure(
     four directions; holes of a few voxels, as sparse clouds have, make no rim. `volume` is the
     index of what was `dilated`.
     """
-    reach = range(1, math.ceil(_GAP / grid.voxel_size) + 1)
-    goes_on = np.ones(np.count_nonzero(inside))
-    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        ahead = kernel_of([(x * k, y * k, 0) for k in reach])
-        goes_on *= convolve(dilated[inside], None, ahead, "any", volume)
-    rim = np.flatnonzero(inside)[goes_on == 0]
+    rim = _rim(volume.table, dilated, inside, math.ceil(_GAP / grid.voxel_size))
     count = component.max() + 1
     rims = np.maximum(np.bincount(component[rim], minlength=count), 1)
     something = convolve(dilated[rim], None, _beside_kernel(grid.voxel_size), "any", grid.index)
     return np.bincount(component[rim], something, count) / rims
+
+
+@njit(cache=True, nogil=True)
+def _rim(table, coords, inside, reach):  # type: ignore[no-untyped-def]
+    """Rows of the cells `inside` that have none within `reach` cells in one of four directions."""
+    rim = np.empty(len(coords), np.int64)
+    count = 0
+    for i in range(len(coords)):
+        if not inside[i]:
+            continue
+        x, y, z = coords[i]
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            step = 1
+            while step <= reach and row_at(table, x + dx * step, y + dy * step, z) < 0:
+                step += 1
+            if step > reach:
+                rim[count] = i
+                count += 1
+                break
+    return rim[:count].copy()
 
 
 def _beside_kernel(voxel_size: float) -> Kernel:
