@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import Any
 
@@ -12,9 +13,12 @@ from test.helpers_ros import Graph, graph, missing, private_context, service, wa
 if missing():
     pytest.skip(missing(), allow_module_level=True)
 
+from rcl_interfaces.srv import GetParameters
+from rclpy.executors import MultiThreadedExecutor
+
 from topometric_ros.nodes import answers
 from topometric_ros.nodes.managed import _Managed
-from topometric_ros.nodes.running import TopometricNode
+from topometric_ros.nodes.running import TopometricNode, spin
 
 NAME = "/waiting/extract_now"
 
@@ -62,3 +66,33 @@ def test_the_services_of_parameters_and_of_a_managed_life_are_patient_too() -> N
         assert offered[name].startswith("patient."), name
     node.destroy_node()
     context.shutdown()
+
+
+def test_what_waits_for_a_caller_holds_up_no_timer(
+    own: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = private_context()
+    node = TopometricNode("held", context=context, use_global_arguments=False)
+    ticks: list[float] = []
+    asked: list[int] = []
+    node.every(0.02, lambda: ticks.append(time.monotonic()))
+
+    def deaf(_node: Any, _service: str) -> bool:
+        asked.append(len(ticks))
+        return len(ticks) < asked[0] + 5
+
+    monkeypatch.setattr(answers, "deaf", deaf)
+    executor = MultiThreadedExecutor(num_threads=3, context=context)
+    executor.add_node(node)
+    told_to_end = threading.Event()
+    spinning = threading.Thread(target=spin, args=(executor, told_to_end))
+    spinning.start()
+    try:
+        own.call(GetParameters, "/held/get_parameters", GetParameters.Request(names=["rate"]))
+    finally:
+        told_to_end.set()
+        spinning.join()
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+    assert asked[-1] >= asked[0] + 5

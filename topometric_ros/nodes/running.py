@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -49,6 +50,7 @@ class TopometricNode(Node):
     _publishers_before: frozenset[Any] = frozenset()
     _listening_before: frozenset[Any] = frozenset()
     _active = False
+    _asked: MutuallyExclusiveCallbackGroup | None = None
 
     def declare_parameters(
         self, namespace: str, parameters: Sequence[Any], ignore_override: bool = False
@@ -65,7 +67,14 @@ class TopometricNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Answer, **options: Any
     ) -> Service:
-        """Offer a service, those of parameters too, whose answers wait until they are heard."""
+        """Offer a service, those of parameters too, whose answers wait until they are heard.
+
+        Without a callback group it shares one with the parameters' services: what waits for a
+        caller must not hold up timers and subscriptions, `/tf` among them.
+        """
+        if options.get("callback_group") is None:
+            self._asked = self._asked or MutuallyExclusiveCallbackGroup()
+            options["callback_group"] = self._asked
         answer = patient(self, self.resolve_service_name(srv_name), callback)
         return super().create_service(srv_type, srv_name, answer, **options)
 
@@ -156,8 +165,9 @@ def run(
     told_to_end = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: told_to_end.set())
-    # Services may wait for a computation, so they have a thread beside the subscriptions' own.
-    executor = MultiThreadedExecutor(num_threads=2)
+    # Our services may wait for a computation, those of parameters for their caller, so each have
+    # a thread beside the one of timers and subscriptions.
+    executor = MultiThreadedExecutor(num_threads=3)
     try:
         node = make_node()
         for line in passed_over(given, node.get_fully_qualified_name()):
