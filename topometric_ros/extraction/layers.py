@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from topometric_ros.configuration import parameter
-from topometric_ros.errors import TopometricError
+from topometric_ros.extraction.errors import ExtractionError
 from topometric_ros.extraction.masks import BESIDE, closed, dilated
 from topometric_ros.topometric_map import StoreyLayers
 from topometric_ros.voxels.grid import bounds
@@ -41,7 +41,7 @@ _MOST_CELLS = 36_000_000
 """600 m x 600 m: more is a stray point, and would take gigabytes."""
 
 
-class LayersError(TopometricError):
+class LayersError(ExtractionError):
     """A storey too wide for its rasters."""
 
 
