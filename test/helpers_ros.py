@@ -110,7 +110,7 @@ class NodeProcess:
         """Send a signal to the process."""
         self._process.send_signal(number)
 
-    def stop(self, number: int = signal.SIGTERM, limit_s: float = 60.0) -> int:
+    def stop(self, number: int = signal.SIGTERM, limit_s: float = 120.0) -> int:
         """Send a signal and return the exit status; a process that stays is killed."""
         if self.alive:
             self._process.send_signal(number)
@@ -182,7 +182,7 @@ class Graph:
         self.node.create_subscription(message_type, topic, received.messages.append, profile)
         return received
 
-    def call(self, service_type: Any, name: str, request: Any, limit_s: float = 180.0) -> Any:
+    def call(self, service_type: Any, name: str, request: Any, limit_s: float = 600.0) -> Any:
         """Call a service and return its response.
 
         The call is made again every `_AGAIN_S`: a request may go to a process that has ended and

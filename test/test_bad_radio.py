@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.skipif(bool(helpers_network.missing()), reason=helpers_network.missing()),
 ]
 
-WORK_S = 180.0
+WORK_S = 600.0
 PARTITION_S = float(os.environ.get("TOPOMETRIC_PARTITION_S", "0"))
 """How much longer the radio stays down than it takes to miss a map: `make soak` says 600."""
 

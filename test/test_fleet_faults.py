@@ -25,7 +25,7 @@ pytestmark = [
 EXTRACTOR = "topometric_ros.nodes.extractor"
 MERGER = "topometric_ros.nodes.merger"
 MANAGED = "topometric_ros.nodes.managed"
-WORK_S = 180.0
+WORK_S = 600.0
 
 
 @cache

@@ -19,7 +19,7 @@ pytestmark = [
 ]
 
 MERGER = "topometric_ros.nodes.merger"
-WORK_S = 180.0
+WORK_S = 600.0
 ROOMS = {"a": (4.0, 5.0, 2.6), "b": (7.0, 3.0, 2.9)}
 """The one room of each agent, m."""
 

@@ -29,8 +29,8 @@ pytestmark = [
 DEMO = helpers_ros.ROOT / "bags" / "demo"
 EXTRACTOR = "topometric_ros.nodes.extractor"
 MERGER = "topometric_ros.nodes.merger"
-START_S = 180.0
-WORK_S = 180.0
+START_S = 600.0
+WORK_S = 600.0
 
 
 def flat() -> np.ndarray:

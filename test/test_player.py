@@ -19,7 +19,7 @@ pytestmark = [
 
 DEMO = helpers_ros.ROOT / "bags" / "demo"
 PLAYER = "topometric_ros.nodes.player"
-WORK_S = 180.0
+WORK_S = 600.0
 
 
 def test_a_bag_is_played_as_if_it_happened_now(own: Graph, start: Any) -> None:

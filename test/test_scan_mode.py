@@ -20,7 +20,7 @@ pytestmark = [
 
 EXTRACTOR = "topometric_ros.nodes.extractor"
 NODE = "/scout/extractor"
-WORK_S = 180.0
+WORK_S = 600.0
 
 
 def static_transform(parent: str, child: str) -> Any:

@@ -43,6 +43,7 @@ class Roster:
         self._subscriptions: dict[str, Subscription] = {}
         self._told_full = False
         self._began: float | None = None
+        self._looked = time.monotonic()
         for agent, place in self.listed.items():
             if is_map_file(place):
                 self.reports[agent] = InputReport(place)
@@ -87,11 +88,12 @@ class Roster:
         """Find new agents where that is wanted, and note whose extractors are there."""
         if self.discover:
             self._find()
+        self._looked = time.monotonic()
         for agent in self.inboxes:
             report = self.reports[agent]
             report.publishers = self._publishers(report.topic)
             if report.publishers:
-                self._last_seen[agent] = time.monotonic()
+                self._last_seen[agent] = self._looked
             self._look_for_rivals(agent, report)
         if self._began is not None and time.monotonic() - self._began > SILENT_S:
             self._began = None
@@ -131,11 +133,11 @@ class Roster:
     def gone(self, longer_than: float) -> dict[str, float]:
         """Return how long (s) agents have been gone of whom nothing was seen for that long.
 
-        The agents are named as their maps name them. Whose map came from a file is never gone.
+        The agents are named as their maps name them. Whose map came from a file is never gone. It
+        counts up to the last :meth:`look`: a process that stood still has not missed anybody.
         """
-        now = time.monotonic()
         live = {n: seen for n, seen in self._last_seen.items() if not self.reports[n].file}
-        absent = {self.id_of(name): now - seen for name, seen in live.items()}
+        absent = {self.id_of(name): self._looked - seen for name, seen in live.items()}
         return {agent: age for agent, age in absent.items() if age > longer_than}
 
     def id_of(self, name: str) -> str:
