@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from topometric_ros.extraction.masks import BESIDE, closed, depth, dilated
+from topometric_ros.extraction.masks import BESIDE, closed, depth, dilated, nearest_unset
 
 _RNG = np.random.default_rng(3)
 _MASKS = [
@@ -18,6 +18,14 @@ _MASKS = [
 def test_depth_is_the_exact_distance_from_what_is_not_set(mask) -> None:
     mask[0, 0] = False
     assert np.array_equal(depth(mask), ndimage.distance_transform_edt(mask))
+
+
+@pytest.mark.parametrize("mask", _MASKS)
+def test_of_equally_near_cells_the_same_is_taken_as_by_scipy(mask) -> None:
+    mask[0, 0] = False
+    expected = ndimage.distance_transform_edt(mask, return_distances=False, return_indices=True)
+    cells = np.argwhere(np.ones(mask.shape, bool))
+    assert np.array_equal(nearest_unset(mask, cells), expected.reshape(2, -1).T)
 
 
 @pytest.mark.parametrize("mask", _MASKS)

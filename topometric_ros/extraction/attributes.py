@@ -165,7 +165,9 @@ def _measured(
     own = label == room
     band = (_BAND[1] - _BAND[0]) / size
     wall = plan.filled[window] >= _WALL * band
-    floor: NDArray[np.bool_] = ndimage.binary_fill_holes(own & ~wall)
+    # With its holes filled; the first cell of the window, beyond the room, lies in no hole.
+    outside, _ = ndimage.label(~own | wall)
+    floor: NDArray[np.bool_] = outside != outside[0, 0]
     floor &= own | (label == NO_ROOM)
     frontier, perimeter = _rim(floor, label, plan.filled[window] * size >= _SOMETHING, size)
     area = float(np.count_nonzero(floor) * size**2)

@@ -42,8 +42,21 @@ def depth(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 
     Exact; at least one cell must not be set (Meijster, Roerdink and Hesselink 2000).
     """
-    distance: NDArray[np.float64] = np.sqrt(_squares(np.ascontiguousarray(mask)))
+    distance: NDArray[np.float64] = np.sqrt(_squares(np.ascontiguousarray(mask))[0])
     return distance
+
+
+def nearest_unset(mask: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the nearest cell that is not set of each of `cells` (K, 2): (K, 2).
+
+    Of several the one of lowest y, and of these the one of lowest x.
+    """
+    _, along, nearest = _squares(np.ascontiguousarray(mask))
+    x, y = cells[:, 0], nearest[tuple(cells.T)]
+    away = along[x, y]
+    lower = np.maximum(x - away, 0)
+    on_lower = (lower == x - away) & ~mask[lower, y]
+    return np.stack([np.where(on_lower, lower, x + away), y], axis=1)
 
 
 def _disk(radius: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -82,7 +95,8 @@ def _stamped(mask, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _squares(mask):  # type: ignore[no-untyped-def]
-    """Squared distance of every cell from the nearest that is not set: (nx, ny) float64.
+    """Squared distance of every cell from the nearest that is not set; how far that is along x of
+    every cell; and its y: (nx, ny) each.
 
     First along x; then each row is the lowest of the parabolas over its cells: `apex` are those
     that are lowest anywhere, from `start` on.
@@ -96,7 +110,7 @@ def _squares(mask):  # type: ignore[no-untyped-def]
     for i in range(nx - 2, -1, -1):
         for j in range(ny):
             along[i, j] = min(along[i, j], along[i + 1, j] + 1)
-    result = np.empty((nx, ny))
+    squares, nearest = np.empty((nx, ny)), np.empty((nx, ny), np.int64)
     apex, start = np.zeros(ny, np.int64), np.zeros(ny, np.int64)
     for i in range(nx):
         own = along[i] * along[i]
@@ -117,7 +131,8 @@ def _squares(mask):  # type: ignore[no-untyped-def]
                 last += 1
                 apex[last], start[last] = j, meet
         for j in range(ny - 1, -1, -1):
-            result[i, j] = (j - apex[last]) ** 2 + own[apex[last]]
+            nearest[i, j] = apex[last]
+            squares[i, j] = (j - apex[last]) ** 2 + own[apex[last]]
             if j == start[last]:
                 last -= 1
-    return result
+    return squares, along, nearest

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from topometric_ros.extraction.masks import depth, nearest_unset
 from topometric_ros.extraction.walls import StoreyRaster
 
 _CORNER_RADIUS = 4.5
@@ -76,8 +77,11 @@ def extended(labels: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
     """Give cells without a label (0) that of the nearest labelled cell within `reach` cells."""
     if not labels.any():
         return labels.copy()
-    distance, (x, y) = ndimage.distance_transform_edt(labels == 0, return_indices=True)
-    return np.where(distance <= reach, labels[x, y], 0).astype(np.int32)
+    free = labels == 0
+    near = np.argwhere(free & (depth(free) <= reach))
+    result = labels.copy()
+    result[tuple(near.T)] = labels[tuple(nearest_unset(free, near).T)]
+    return result
 
 
 def _saddles(
@@ -120,10 +124,9 @@ def _openings(
     """Return how wall-free the ends of each opening are and how far the walls go on beyond."""
     if not wall.any():
         return np.full(len(cells), 0.5), np.zeros(len(cells))
-    nearest = ndimage.distance_transform_edt(~wall, return_distances=False, return_indices=True)
     corner, line = np.empty(len(cells)), np.empty(len(cells))
-    for row, (i, j) in enumerate(cells):
-        corner[row], line[row] = _opening(wall, i, j, nearest[0, i, j], nearest[1, i, j])
+    for row, ((i, j), (x, y)) in enumerate(zip(cells, nearest_unset(~wall, cells), strict=True)):
+        corner[row], line[row] = _opening(wall, i, j, x, y)
     return corner, line
 
 
@@ -223,12 +226,16 @@ def _visibility(space, points, owner, square_range, counts):  # type: ignore[no-
     """Count the pairs of points within range, and those that see each other, for every two pieces.
 
     `space` (nx, ny) numbers what walls part, 0 for the walls themselves: no view leads from one
-    part to another. `counts` is (2, K, K), zero: pairs and seeing pairs, symmetric.
+    part to another. `points` (S, 2) are sorted by x. `counts` is (2, K, K), zero: pairs and seeing
+    pairs, symmetric.
     """
     flat, width = space.ravel(), space.shape[1]
     places = points[:, 0] * width + points[:, 1]
+    first = 0
     for one in range(len(points)):
-        for other in range(one):
+        while (points[one, 0] - points[first, 0]) ** 2 > square_range:  # sorted by x
+            first += 1
+        for other in range(first, one):
             dx = points[one, 0] - points[other, 0]
             dy = points[one, 1] - points[other, 1]
             if dx * dx + dy * dy > square_range:
