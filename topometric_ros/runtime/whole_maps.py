@@ -52,6 +52,5 @@ class WholeMaps:
 
 def _cells(points: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return a number (N,) for the cell of each point."""
-    return np.asarray(np.bitwise_xor.reduce(
-        np.floor(points / _CELL).astype(np.int64) * _PRIMES, axis=1
-    ))  # fmt: skip
+    cells = np.floor(points / _CELL).astype(np.int64)
+    return np.asarray(np.bitwise_xor.reduce(cells * _PRIMES, axis=1))
