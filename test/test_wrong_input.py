@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from test.helpers import yaw_transform
 from test.helpers_bags import START, cloud, flat, write_scan_bag
 from topometric_ros.cli.main import main
+from topometric_ros.fusion.poses import apply, matrix_lines
 from topometric_ros.io import pointcloud2
 from topometric_ros.io.bag_messages import CLOUD_TYPE
 from topometric_ros.io.bag_writer import BagWriter
@@ -85,6 +87,13 @@ def test_what_the_maps_warn_of_is_told_by_a_merge_of_folders_and_files(
     out = capsys.readouterr().out
     assert "a: anchor" in out
     assert "warning: side: the floor looks perpendicular to y" in out
+
+
+def test_a_printed_transform_serves_projected_coordinates_too() -> None:
+    T = yaw_transform(0.3, (-494_959.579, 10_634_612.055, 288.17))
+    copied = np.array([[float(word) for word in row.split()] for row in matrix_lines(T)])
+    place = np.array([[412_345.0, 5_312_345.0, 12.0]])
+    np.testing.assert_allclose(apply(copied, place), apply(T, place), atol=0.01, rtol=0)
 
 
 def las(size: int = 400, **fields: int) -> bytearray:

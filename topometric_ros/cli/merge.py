@@ -118,6 +118,8 @@ def write_result(
 
 def result_lines(result: MergeResult, maps: Sequence[TopometricMap]) -> Iterator[str]:
     """Yield the result, and what the maps themselves warn of, as lines for a person."""
+    from topometric_ros.fusion.poses import matrix_lines
+
     for agent in result.agents:
         yield f"{agent.id}: {agent.status} ({agent.reason})"
     for alignment in result.alignments:
@@ -125,6 +127,6 @@ def result_lines(result: MergeResult, maps: Sequence[TopometricMap]) -> Iterator
         if alignment.accepted and alignment.T_a_b is not None:
             a, b = alignment.agents
             yield f"  T_{a}_{b}, from the frame of {b} to that of {a}, m:"
-            yield from ("  " + "  ".join(f"{v: 10.5f}" for v in row) for row in alignment.T_a_b)
+            yield from (f"  {row}" for row in matrix_lines(alignment.T_a_b))
     yield from warning_lines(f"{m.agent}: {told}" for m in maps for told in m.warnings)
     yield from warning_lines(result.warnings)

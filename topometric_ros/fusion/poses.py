@@ -83,3 +83,12 @@ def carried(
     carry[:3, :3] = carry[3:, 3:] = turn
     carry[:3, 3:] = -turn @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return carry @ covariance @ carry.T
+
+
+def matrix_lines(T: Transform) -> list[str]:
+    """Return the rows of a transform (4, 4) to print and to copy.
+
+    Nine decimals: in projected coordinates, 10,000 km from their origin, the sixth decimal of a
+    turn moves a point by 10 m.
+    """
+    return ["  ".join(f"{value: 13.9f}" for value in row) for row in T]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topometric_ros.alignment import Alignment, AlignmentStatus
+from topometric_ros.fusion.poses import matrix_lines
 from topometric_ros.topometric_map import TopometricMap
 from topometric_ros.visualization.figures import hex_colour
 from topometric_ros.visualization.page import details, number, picture, pill, table, text, tiles
@@ -130,6 +131,6 @@ def _transform_details(alignment: Alignment, a: TopometricMap, b: TopometricMap)
     """The 4 x 4 transform to copy."""
     if alignment.T_a_b is None:
         return ""
-    rows = "\n".join(" ".join(f"{value:12.6f}" for value in row) for row in alignment.T_a_b)
+    rows = "\n".join(matrix_lines(alignment.T_a_b))
     note = f"<p>p in {text(a.frame_id)} = T · p in {text(b.frame_id)}, metres</p>"
     return details("transform as a matrix", f"{note}<pre>{rows}</pre>")
