@@ -126,7 +126,7 @@ def test_a_file_that_cannot_be_used_is_put_aside_and_so_is_one_of_an_older_sessi
     kept = path.read_bytes()
     gather(one, SCANS[2:3])
     assert keeper.keep(one) == ""
-    assert path.read_bytes() == kept, "once a minute"
+    assert path.read_bytes() == kept, "not with every scan"
     one.reset()
     keeper.keep(one, at_once=True)
     assert (tmp_path / "scans.before").read_bytes() == kept

@@ -99,7 +99,8 @@ class ExtractorNodeConfig:
     scans_file: str = parameter(
         "",
         "File that keeps what single scans came to across a restart of this node alone; written "
-        "once a minute and at the end, one for each extractor. Empty: nothing is kept.",
+        "at the start, ever more rarely, down to once a minute, and at the end; one for each "
+        "extractor. Empty: nothing is kept.",
     )
     matching: DescribingConfig = field(default_factory=DescribingConfig)
 

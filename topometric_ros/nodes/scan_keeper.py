@@ -10,7 +10,8 @@ from topometric_ros.nodes.worker import Pace
 from topometric_ros.runtime.extractor_session import ExtractorSession
 from topometric_ros.runtime.scan_state import load_scans, save_scans
 
-_RATE_HZ = 1 / 60
+_FIRST_S, _LATER_S = 5.0, 60.0
+"""Between two writings: little is gathered and fast in the beginning; later a disk must last."""
 _SHARE = 0.05
 """Of the time, at most, that writing takes."""
 
@@ -25,6 +26,7 @@ class ScanKeeper(KeptFile):
     def __init__(self, path: str, logger: Any, **options: float) -> None:
         super().__init__("scans_file", path, "extractor", "what was gathered", logger, **options)
         self._pace = Pace(_SHARE)
+        self._every = _FIRST_S
         self._session = ""
         self._kept: tuple[str, int] | None = None
 
@@ -49,7 +51,8 @@ class ScanKeeper(KeptFile):
         state = session.scan_state()
         if state is None or self._kept == (session.session, state.scans):
             return ""
-        with self._pace.step(_RATE_HZ):
+        with self._pace.step(1.0 / self._every):
             failure = self.write(lambda path: save_scans(path, state))
+        self._every = min(2.0 * self._every, _LATER_S)
         self._kept = None if failure else (session.session, state.scans)
         return failure
