@@ -201,7 +201,8 @@ def seen_rows(table, coords, start, radius):  # type: ignore[no-untyped-def]
         if square > radius * radius:
             continue
         if dense:
-            seen = _reaches(box, low, shape, start, end)
+            # What hides a voxel is often its neighbour, so the ray starts at the voxel.
+            seen = _is_free(box, low, shape, end, start)
         else:
             hit = _first_hit(table, start, end)
             seen = hit == row or hit < 0  # the voxel that holds the start is seen, too
@@ -212,8 +213,8 @@ def seen_rows(table, coords, start, radius):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _reaches(box, low, shape, start, end):  # type: ignore[no-untyped-def]
-    """Whether a ray to an occupied cell enters no other before; steps as `_cells` does."""
+def _is_free(box, low, shape, start, end):  # type: ignore[no-untyped-def]
+    """Whether a ray enters no occupied cell between those of its ends; steps as `_cells` does."""
     wide = max(abs(end[0] - start[0]), 1)
     deep = max(abs(end[1] - start[1]), 1)
     high = max(abs(end[2] - start[2]), 1)
@@ -223,8 +224,9 @@ def _reaches(box, low, shape, start, end):  # type: ignore[no-untyped-def]
     z, dz, tz, ez = ray_axis(start[2], end[2], wide * deep)
     across, along = shape[1] * shape[2], shape[2]
     place = (x - low[0]) * across + (y - low[1]) * along + z - low[2]
-    target = ((end[0] >> _STEP_BITS) - low[0]) * across
-    target += ((end[1] >> _STEP_BITS) - low[1]) * along + (end[2] >> _STEP_BITS) - low[2]
+    target = ((end[0] + STEPS // 2) >> _STEP_BITS) - low[0]
+    target = target * shape[1] + ((end[1] + STEPS // 2) >> _STEP_BITS) - low[1]
+    target = target * shape[2] + ((end[2] + STEPS // 2) >> _STEP_BITS) - low[2]
     dx, dy = dx * across, dy * along
     now = min(tx, ty, tz)
     while now < last:
@@ -235,6 +237,6 @@ def _reaches(box, low, shape, start, end):  # type: ignore[no-untyped-def]
         if tz == now:
             place, tz = place + dz, tz + ez
         if box[place]:
-            break
+            return place == target
         now = min(tx, ty, tz)
-    return place == target
+    return True
