@@ -67,3 +67,26 @@ def test_a_few_pieces_say_nothing():
     assert not pieces.same
     assert not pieces.displaced
     assert laid(one, seen(HALL), np.eye(4)).fixed == 0
+
+
+def test_a_long_piece_is_not_fixed_along_itself():
+    def with_screen(along):
+        return seen(np.concatenate([HALL, box_room((4.0 + along, 4.0, 0.0), (3.5, 0.1, 0.9))]))
+
+    here, slid = with_screen(0.0), with_screen(0.12)
+    found = laid(here, slid, np.eye(4))
+    assert (found.fixed, found.kept) == (1, 1)
+    assert found.odds == pytest.approx(np.log(0.9 / 0.55))
+    across = laid(
+        here, seen(np.concatenate([HALL, box_room((4.0, 4.1, 0.0), (3.5, 0.1, 0.9))])), np.eye(4)
+    )
+    assert (across.fixed, across.kept) == (1, 0)
+
+
+def test_only_pieces_whose_walls_are_in_place_speak_against_a_place(here):
+    anew = laid(here, furnished([(0.12, 0.1)] * 8), np.eye(4))
+    assert anew.kept == 0
+    # Those in the middle of the hall see walls that run one way only.
+    assert anew.odds < anew.placed < 0.0
+    drifted = laid(here, here, yaw_transform(0.0, (0.1, 0.08, 0.0)))
+    assert drifted.placed >= 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from test.helpers_evidence import at, good
@@ -21,6 +22,12 @@ from topometric_ros.matching.evidence import Evidence, evaluate
 
 DEFAULT = merge_preset("default")
 CONFIG = VerificationConfig()
+
+
+def pieces(kept, moved, in_place=1.0):
+    """Return what pieces tell that are fixed in both directions, with the walls round a share."""
+    odds = kept * np.log(0.88 / 0.3) + moved * np.log(0.12 / 0.7)
+    return Pieces(kept + moved, kept, odds, in_place * odds)
 
 
 def test_a_pose_that_a_twin_flat_would_have_where_it_is_registered_is_ambiguous(
@@ -64,9 +71,9 @@ def test_where_furniture_differs_the_rest_must_stand_to_the_centimetre(share, fl
         free_share=share, free_floor=floor, furniture_judged=judged,
         furniture_conflict_cells=cells, furniture_conflict=cells / judged,
     )  # fmt: skip
-    assert twin_doubt(e, CONFIG, lambda: Pieces(2, 1))
-    assert not twin_doubt(e, CONFIG, lambda: Pieces(12, 9))
-    assert not twin_doubt(replace(e, free_share=0.3), CONFIG, lambda: Pieces(2, 1))
+    assert twin_doubt(e, CONFIG, lambda: pieces(1, 1))
+    assert not twin_doubt(e, CONFIG, lambda: pieces(9, 3))
+    assert not twin_doubt(replace(e, free_share=0.3), CONFIG, lambda: pieces(1, 1))
 
 
 def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
@@ -74,18 +81,18 @@ def test_a_floor_furnished_otherwise_is_the_same_only_where_that_is_said():
         free_share=0.6, free_floor=150.0, furniture_judged=400,
         furniture_conflict_cells=50, furniture_conflict=0.125,
     )  # fmt: skip
-    assert twin_doubt(moved, CONFIG, lambda: Pieces(2, 1))
-    assert not twin_doubt(moved, replace(CONFIG, changed_furniture=True), lambda: Pieces(2, 1))
+    assert twin_doubt(moved, CONFIG, lambda: pieces(1, 1))
+    assert not twin_doubt(moved, replace(CONFIG, changed_furniture=True), lambda: pieces(1, 1))
 
 
 def test_furniture_that_was_put_there_anew_is_a_twin_s_even_where_no_cell_conflicts():
     e = good(free_share=0.3, free_floor=90.0, furniture_judged=300)
-    for anew in (Pieces(9, 3, 9, 3), Pieces(7, 4, 5, 2), Pieces(2, 0, 2, 0)):
-        told = twin_doubt(e, CONFIG, lambda pieces=anew: pieces)
+    for anew in (pieces(3, 6), pieces(2, 3), pieces(0, 2)):
+        told = twin_doubt(e, CONFIG, lambda found=anew: found)
         assert f"of {anew.fixed} pieces" in told
-    drifted = Pieces(9, 3, 1, 0)
-    for as_before in (Pieces(22, 17, 22, 17), Pieces(3, 1, 3, 1), drifted, Pieces(0, 0)):
-        assert not twin_doubt(e, CONFIG, lambda pieces=as_before: pieces)
+    drifted = pieces(3, 6, in_place=0.1)
+    for as_before in (pieces(17, 5), pieces(1, 1), drifted, Pieces(0, 0)):
+        assert not twin_doubt(e, CONFIG, lambda found=as_before: found)
 
 
 def test_cupboards_that_stand_elsewhere_are_walls_in_conflict():
@@ -93,7 +100,7 @@ def test_cupboards_that_stand_elsewhere_are_walls_in_conflict():
         free_share=0.58, free_floor=47.0, wall_conflict=0.022, wall_conflict_cells=15
     )  # fmt: skip
     assert "no piece can be placed" in twin_doubt(strained, CONFIG, lambda: Pieces(0, 0))
-    assert not twin_doubt(strained, CONFIG, lambda: Pieces(4, 4))
+    assert not twin_doubt(strained, CONFIG, lambda: pieces(4, 0))
     less = replace(strained, free_share=0.33)
     assert not twin_doubt(less, CONFIG, lambda: Pieces(0, 0))
     furniture = {"furniture_judged": 130, "furniture_conflict_cells": 25}

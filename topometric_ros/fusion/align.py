@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, 
 from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose, fine_poses
-from topometric_ros.fusion.furniture import Pieces, compare_furniture
+from topometric_ros.fusion.furniture import Pieces
 from topometric_ros.fusion.gates import missed_gate, objection
-from topometric_ros.fusion.judge import FinePose, judge, unless_elsewhere
+from topometric_ros.fusion.judge import FinePose, compared, judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, carried, input_frames, inverse
 from topometric_ros.fusion.prepared import Prepared
@@ -136,7 +137,12 @@ def _registered(
     with watch.stage("evidence"):
         evidence = evaluate(a.fields, b.fields, T, _scoring(config))
     moved = apart(T, candidate.T_a_b, np.array([evidence.centre]))
-    refusal = objection(evidence, decision.gap, decision.ratio, config.verification)
+
+    @cache
+    def furniture() -> Pieces:
+        return compared(a, b, T)
+
+    refusal = objection(evidence, decision.gap, decision.ratio, config.verification, furniture)
     if moved > config.largest_correction:
         refusal = (
             f"registration moved the pose by {moved:.2f} m, at most "
@@ -146,9 +152,6 @@ def _registered(
     if refusal is not None:
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {refusal}")
         return replace(refused, alternatives=alternatives, score=evidence.value)
-
-    def furniture() -> Pieces:
-        return compare_furniture((a.map, a.surface), (b.map, b.surface), T)
 
     doubt = twin_doubt(evidence, config.verification, furniture) if ask_twins else None
     if doubt is not None:

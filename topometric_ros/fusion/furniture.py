@@ -2,10 +2,11 @@
 
 Where a fifth of the furniture was moved between two visits, as much of it conflicts as in an
 identical flat that is furnished alike. But what was not moved stands exactly where it stood, and in
-another flat nothing does that was put there by hand: so each piece is laid on the other map's by
-itself, and by how far it has to be moved tells the two apart. A piece beside a wall is fixed in one
-direction only and says little, for desks are pushed against walls everywhere. Drift moves whole
-rooms, so the walls around a piece are laid on the other map's too, and it is measured from them.
+another flat little does that was put there by hand: so each piece is laid on the other map's by
+itself, and by how far it has to be moved tells the two apart. A piece of which one face was seen is
+fixed in one direction only and says less, for desks are pushed against walls everywhere. Drift
+moves whole rooms, so the walls around a piece are laid on the other map's too, and it is measured
+from them.
 """
 
 from __future__ import annotations
@@ -38,27 +39,29 @@ _PARALLEL = 0.8
 _FEWEST_POINTS, _FEWEST_PAIRS = 15, 12
 """Points of a piece, and pairs, from which its place can be told."""
 
-_FIXED = 4.0
-"""Pairs that must speak for a direction before a piece is fixed in it."""
+_FIXED, _SLANT = 4.0, 0.05
+"""Pairs that must speak for a direction before a piece is fixed in it, and their share of those
+that speak for the other one: normals are some degrees off, so a long face seems to hold its ends
+too."""
 
-_KEPT = 0.04
+_KEPT = 0.03
 """Offset from the walls around it, m, up to which a piece stands where it stood."""
 
 _AROUND, _IN_PLACE = 4.0, 0.02
 """Distance (m) of the walls around a piece, and the offset (m) up to which they are in place."""
 
-_BY_CHANCE, _SURE = 0.3, 0.02
-"""Share of the pieces that stand alike in a flat furnished to the same plan, and how unlikely it
-must be that as many do by chance.
+_HERE, _ALIKE = {1: 0.9, 2: 0.88}, {1: 0.55, 2: 0.3}
+"""Share of the pieces fixed in one and in two directions that stand where they stood, between two
+visits of one place, a fifth moved in between, and in a flat furnished to the same plan by hand.
 
-Right poses with a fifth of the furniture moved: 4 of 4 to 50 of 61; made flats alike to the
-millimetre in part: 3 of 3 at most (docs/benchmarks.md)."""
+Measured: 0.93 and 0.86 in noisy maps of one place, 0.47 and 0.29 in twins furnished otherwise, 0.52
+and 0.21 in identical storeys (docs/benchmarks.md)."""
 
-_LEFT, _DISPLACED, _FEWEST = 0.7, 0.2, 2
-"""Share of the pieces that stand where they stood between two visits at the least, and how unlikely
-it must be that as few do, of so many pieces and more: below that they were put there anew.
+_SAME, _DISPLACED = 50.0, 20.0
+"""Odds from which the furniture is that of one place, and from which it was put there anew.
 
-Only pieces count whose walls are in place, as a twin's are: where they are not it is drift."""
+Only pieces count against a place whose walls are in place, as a twin's are: where they are not it
+is drift."""
 
 
 @dataclass(frozen=True)
@@ -72,31 +75,32 @@ class Furniture:
 
 @dataclass(frozen=True)
 class Pieces:
-    """How many pieces are fixed in both directions of the plan, and how many were not moved.
+    """How many pieces are fixed by their faces, how many were not moved, and what that tells.
 
-    `placed` and `placed_kept` are of those of which the walls around are in place.
+    `odds` is the logarithm of how much likelier that is of one place than of two that are furnished
+    alike; `placed` is the same of the pieces of which the walls around are in place.
     """
 
     fixed: int
     kept: int
-    placed: int = 0
-    placed_kept: int = 0
+    odds: float = 0.0
+    placed: float = 0.0
 
     @property
     def same(self) -> bool:
         """Whether more stand where they stood than in a flat furnished to the same plan."""
-        return self.fixed > 0 and 1.0 - _as_few(self.fixed, self.kept - 1, _BY_CHANCE) < _SURE
+        return self.odds > math.log(_SAME)
 
     @property
     def displaced(self) -> bool:
         """Whether fewer stand where they stood than moved furniture explains, if only by a hand."""
-        few = _as_few(self.placed, self.placed_kept, _LEFT)
-        return self.placed >= _FEWEST and few < _DISPLACED
+        return self.placed < -math.log(_DISPLACED)
 
 
-def _as_few(of: int, count: int, share: float) -> float:
-    """Return how likely `count` or fewer of so many pieces stand where they stood."""
-    return sum(math.comb(of, k) * share**k * (1.0 - share) ** (of - k) for k in range(count + 1))
+def _odds(directions: int, kept: bool) -> float:
+    """Return the log odds of one place, by one piece fixed in so many directions."""
+    here, alike = _HERE[directions], _ALIKE[directions]
+    return math.log(here / alike) if kept else math.log((1.0 - here) / (1.0 - alike))
 
 
 def compare_furniture(
@@ -115,8 +119,8 @@ def compare_furniture(
     return Pieces(
         fixed=math.ceil(sum(way.fixed for way in ways) / 2),
         kept=sum(way.kept for way in ways) // 2,
-        placed=sum(way.placed for way in ways) // 2,
-        placed_kept=math.ceil(sum(way.placed_kept for way in ways) / 2),
+        odds=sum(way.odds for way in ways) / 2.0,
+        placed=sum(way.placed for way in ways) / 2.0,
     )
 
 
@@ -126,21 +130,22 @@ def laid_on(a: Furniture, b: Furniture, T_a_b: Transform) -> Pieces:
         return Pieces(0, 0)
     target = _Target(a.faces)
     points, normals = apply(T_a_b, b.faces.points), b.faces.normals @ T_a_b[:3, :3].T
-    fixed, kept, placed = 0, [], []
+    fixed, kept_pieces, odds, placed = 0, 0, 0.0, 0.0
     for number in np.unique(b.piece):
         own = b.piece == number
-        offset = target.offset(points[own], normals[own])
-        if offset is None:
+        found = target.offset(points[own], normals[own])
+        if found is None:
             continue
-        fixed += 1
-        if _length(offset) <= _KEPT:
-            kept.append(True)
-            placed.append(True)
-            continue
-        walls = _walls_moved(a.walls, b.walls, b.faces.points[own].mean(axis=0), T_a_b)
-        kept.append(walls is not None and _length(offset - walls) <= _KEPT)
-        placed.append(walls is not None and _length(walls) <= _IN_PLACE)
-    return Pieces(fixed, sum(kept), sum(placed), int(np.sum(np.logical_and(kept, placed))))
+        offset, axes = found
+        kept = in_place = _length(offset) <= _KEPT
+        if not kept:
+            walls = _walls_moved(a.walls, b.walls, b.faces.points[own].mean(axis=0), T_a_b)
+            kept = walls is not None and _length(axes.T @ (offset - walls)) <= _KEPT
+            in_place = walls is not None and _length(walls) <= _IN_PLACE
+        told = _odds(axes.shape[1], kept)
+        fixed, kept_pieces, odds = fixed + 1, kept_pieces + kept, odds + told
+        placed += told if in_place else 0.0
+    return Pieces(fixed, kept_pieces, odds, placed)
 
 
 def _walls_moved(
@@ -149,7 +154,8 @@ def _walls_moved(
     """Return how b's walls around a point of b must be moved onto a's, (2,) m; None if unknown."""
     source = b.around(centre, _AROUND)
     target = a.around(apply(T_a_b, centre[None])[0], _AROUND + _REACHES[0])
-    return _Target(target).offset(apply(T_a_b, source.points), source.normals @ T_a_b[:3, :3].T)
+    found = _Target(target).offset(apply(T_a_b, source.points), source.normals @ T_a_b[:3, :3].T)
+    return found[0] if found is not None and found[1].shape[1] == 2 else None
 
 
 def furniture_of(topometric_map: TopometricMap, surface: Surface) -> Furniture:
@@ -200,8 +206,11 @@ class _Target:
 
     def offset(
         self, points: NDArray[np.float64], normals: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """Return how faces (n, 3) must be moved on the plan, (2,) m; None if not fixed."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Return how faces (n, 3) must be moved on the plan, (2,) m, and the axes that fix them.
+
+        The axes (2, 1) or (2, 2) are unit vectors that the move lies in. None if not fixed at all.
+        """
         if len(points) < _FEWEST_POINTS or len(self._points) == 0:
             return None
         offset = np.zeros(3)
@@ -216,8 +225,10 @@ class _Target:
                 return None
             n = there[found][:, :2]
             residual = np.sum(there * (self._points[nearest] - moved[:, None]), axis=2)[found]
-            H = n.T @ n
-            if np.linalg.eigvalsh(H)[0] <= _FIXED:
+            speaking, axes = np.linalg.eigh(n.T @ n)
+            fixed = speaking > max(_FIXED, _SLANT * speaking[1])
+            if not fixed.any():
                 return None
-            offset[:2] += np.linalg.solve(H, n.T @ residual)
-        return offset[:2]
+            axes = axes[:, fixed]
+            offset[:2] += axes @ (axes.T @ (n.T @ residual) / speaking[fixed])
+        return offset[:2], axes

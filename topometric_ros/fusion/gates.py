@@ -6,11 +6,13 @@ Shares are judged by their lower bound: that 7 of 382 cells conflict does not pr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from topometric_ros.configuration import parameter
+from topometric_ros.fusion.furniture import Pieces
 from topometric_ros.matching.evidence import Evidence
 
 _ACROSS_ENOUGH = 2.5
@@ -138,22 +140,33 @@ class VerificationConfig:
 
 
 def objection(
-    evidence: Evidence, gap: float, ratio: float, config: VerificationConfig
+    evidence: Evidence,
+    gap: float,
+    ratio: float,
+    config: VerificationConfig,
+    furniture: Callable[[], Pieces] | None = None,
 ) -> str | None:
     """Return what speaks against a pose, in a sentence, or None where it may be accepted.
 
     After registration the evidence is computed anew and asked again, with the decision's `gap` and
-    `ratio`: a pose that passed must still pass where ICP has moved it.
+    `ratio`: a pose that passed must still pass where ICP has moved it. Where nothing but furniture
+    speaks against it, it was moved if the rest stands where it stood to the centimetre: `furniture`
+    is asked for that, where there is one.
     """
     missed = missed_gate(evidence, config)
-    if missed is not None and _holds_despite(evidence, gap, ratio, config):
+    if missed is None or _holds_despite(evidence, gap, ratio, config):
+        return None
+    if furniture is not None and _missed_by_walls(evidence, config) is None and furniture().same:
         return None
     return missed
 
 
 def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
     """Return the sentence of the first gate that a pose fails, or None where it passes all."""
-    e = evidence
+    return _missed_by_walls(evidence, config) or _misplaced(evidence, config)
+
+
+def _missed_by_walls(e: Evidence, config: VerificationConfig) -> str | None:
     if e.storeys == 0:
         return "no floor of one map meets a floor of the other"
     if e.free_floor < config.free_floor:
@@ -183,6 +196,10 @@ def missed_gate(evidence: Evidence, config: VerificationConfig) -> str | None:
             f"{e.wall_conflict:.1%} of {cells:.0f} wall cells conflict, "
             f"at most {config.wall_conflict:.1%} allowed"
         )
+    return None
+
+
+def _misplaced(e: Evidence, config: VerificationConfig) -> str | None:
     counted = e.furniture_judged >= config.furniture_judged
     if counted and furniture_elsewhere(e) > config.furniture_conflict:
         return (

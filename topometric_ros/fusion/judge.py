@@ -15,7 +15,8 @@ import numpy as np
 from topometric_ros.alignment import AlignmentStatus
 from topometric_ros.fusion.ceilings import open_above
 from topometric_ros.fusion.config import MergeConfig
-from topometric_ros.fusion.poses import apart
+from topometric_ros.fusion.furniture import Pieces, compare_furniture
+from topometric_ros.fusion.poses import Transform, apart
 from topometric_ros.fusion.prepared import Prepared
 from topometric_ros.fusion.registration import Registration, RegistrationError
 from topometric_ros.fusion.rivals import Judged
@@ -38,15 +39,31 @@ def judge(
     """Return the candidates with their evidence, and what is decided.
 
     A pose that is refused for what conflicts is judged once more where it was registered: a few
-    centimetres put walls into the other's free floor.
+    centimetres put walls into the other's free floor, and furniture that was moved can only be told
+    there.
     """
     scoring = config.search.scoring
     judged = [(c, evaluate(a.fields, b.fields, c.T_a_b, scoring)) for c in candidates]
     decision = decide(judged, config.verification)
     finer = _registered_best(a, b, judged, decision, fine, config)
-    if finer is None:
+    if finer is not None:
+        judged, decision = finer, decide(finer, config.verification)
+    if decision.status is not AlignmentStatus.REJECTED or decision.best is None:
         return judged, decision
-    return finer, decide(finer, config.verification)
+    best = judged[decision.best][0]
+
+    def furniture() -> Pieces:
+        try:
+            return compared(a, b, fine(best).T_target_source)
+        except RegistrationError:
+            return Pieces(0, 0)
+
+    return judged, decide(judged, config.verification, furniture)
+
+
+def compared(a: Prepared, b: Prepared, T_a_b: Transform) -> Pieces:
+    """Return how much furniture stands in the same place, to the centimetre."""
+    return compare_furniture((a.map, a.surface), (b.map, b.surface), T_a_b)
 
 
 def unless_elsewhere(

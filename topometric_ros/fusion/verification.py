@@ -7,12 +7,13 @@ operator with the number that decided and the threshold that it missed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from topometric_ros.alignment import AlignmentStatus, Alternative
+from topometric_ros.fusion.furniture import Pieces
 from topometric_ros.fusion.gates import VerificationConfig, objection
 from topometric_ros.fusion.rivals import Judged, difference, disproved_margin, distinct
 from topometric_ros.fusion.twins import twin_doubt
@@ -52,7 +53,11 @@ class Decision:
     alternatives: tuple[Alternative, ...] = ()
 
 
-def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
+def decide(
+    judged: Sequence[Judged],
+    config: VerificationConfig,
+    furniture: Callable[[], Pieces] | None = None,
+) -> Decision:
     """Accept the best of some candidates, or say why not.
 
     Parameters
@@ -63,6 +68,7 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
     config : VerificationConfig. `changed_furniture` is off by default. No wrong pose was ever
         accepted with it, but in one building without furniture a look-alike wing reached a value
         of 886 at 2.9 % conflict, and only a second such wing kept it from being accepted.
+    furniture : compares that of the best candidate to the centimetre, see `gates.objection`
 
     Returns
     -------
@@ -91,7 +97,7 @@ def decide(judged: Sequence[Judged], config: VerificationConfig) -> Decision:
     def decision(status: AlignmentStatus, reason: str, trust: float) -> Decision:
         return Decision(status, reason, best, trust, gap, ratio, alternatives)
 
-    refusal = objection(first, gap, ratio, config)
+    refusal = objection(first, gap, ratio, config, furniture)
     if refusal is not None:
         return decision(AlignmentStatus.REJECTED, refusal, 0.0)
     near = [
