@@ -38,8 +38,9 @@ def twin_doubt(
     """Return why two identical flats, furnished alike, would look the same, or None.
 
     Nothing beyond what is shared tells where the smaller map lies, and not all furniture agrees, or
-    little more than a room was seen of it. Where less is shared or more conflicts, `furniture` is
-    asked how much of it stands in the same place to the centimetre; without it none of that counts.
+    little more than a room was seen of it. Where less is shared, more conflicts or a cell or two of
+    furniture do not agree, `furniture` is asked how much of it stands in the same place to the
+    centimetre; without it none of that counts.
     """
     if _is_part(e, config):
         return (
@@ -56,8 +57,9 @@ def twin_doubt(
         )
     if furniture is None or (config.changed_furniture and not small):
         return None
-    asked = small and differs and e.free_share >= _PART * config.twin_share
-    asked = asked or _may_be_furnished_otherwise(e, config)
+    asked = _may_be_furnished_otherwise(e, config)
+    if small and e.furniture_conflict_cells > 0:
+        asked = asked or e.free_share >= (_PART if differs else 1.0) * config.twin_share
     pieces = furniture()
     if not pieces.displaced and (not asked or pieces.same):
         return None
@@ -99,5 +101,5 @@ def _least_floor(e: Evidence, config: VerificationConfig) -> float:
     least = _PART_DIFFERS if _differs(e, config) else _PART
     if e.free_share >= least * config.twin_share:
         return config.twin_part
-    room = e.free_share >= _ROOM_PART or e.furniture_conflict > config.furniture_conflict
+    room = e.free_share >= _ROOM_PART or e.furniture_conflict_cells > 0
     return min(_ROOM, config.twin_part) if room else 0.0
