@@ -258,9 +258,8 @@ def play_bag(
         publishers = {c.id: _publisher(own.node, c) for c in reader.connections}
         for connection in reader.connections:
             wanted = listeners.get(connection.topic, 1)
-            count = publishers[connection.id].get_subscription_count
-            readers = f"{wanted} readers of {connection.topic}"
-            wait_for(lambda n=wanted, count=count: count() >= n, limit_s, readers)
+            read = functools.partial(_is_read, publishers[connection.id], wanted)
+            wait_for(read, limit_s, f"{wanted} readers of {connection.topic}")
         begin, first = time.monotonic(), None
         for connection, stamp, raw in reader.messages():
             first = stamp if first is None else first
@@ -268,6 +267,10 @@ def play_bag(
             time.sleep(max(delay, 0.0))
             publishers[connection.id].publish(bytes(raw))
     return list(publishers.values())
+
+
+def _is_read(publisher: Any, readers: int) -> bool:
+    return bool(publisher.get_subscription_count() >= readers)
 
 
 def _publisher(node: Any, connection: Any) -> Any:
