@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from topometric_ros.extraction.masks import depth, nearest_unset
+from topometric_ros.extraction.masks import depth, nearest_unset, sees
 from topometric_ros.extraction.walls import StoreyRaster
 
 _CORNER_RADIUS = 4.5
@@ -242,33 +242,10 @@ def _visibility(space, points, owner, square_range, counts):  # type: ignore[no-
                 continue
             a, b = owner[one], owner[other]
             start, end = places[other], places[one]
-            sees = flat[start] == flat[end] and _sees(flat, width, start, end, dx, dy)
+            in_view = flat[start] == flat[end] and sees(flat, width, start, end, dx, dy)
             counts[0, a, b] += 1
-            counts[1, a, b] += sees
+            counts[1, a, b] += in_view
             if a != b:
                 counts[0, b, a] += 1
-                counts[1, b, a] += sees
+                counts[1, b, a] += in_view
     return counts[0], counts[1]
-
-
-@njit(cache=True, nogil=True)
-def _sees(space, width, at, end, dx, dy):  # type: ignore[no-untyped-def]
-    """Whether the straight line between two cells (dx, dy) apart meets no wall (Amanatides & Woo
-    1987); `space` and the cells are flat, in rows of `width`."""
-    step_x = width if dx > 0 else -width
-    step_y = 1 if dy > 0 else -1
-    dx, dy = abs(dx), abs(dy)
-    # By how much the next crossing in x comes after that in y, in units of half cells over
-    # dx * dy: an integer, so no rounding decides.
-    later = dy - dx
-    while at != end:
-        along_x, along_y = later <= 0, later >= 0
-        if along_x:
-            at += step_x
-            later += 2 * dy
-        if along_y:
-            at += step_y
-            later -= 2 * dx
-        if space[at] == 0:
-            return False
-    return True

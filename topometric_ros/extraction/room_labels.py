@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from topometric_ros.extraction.masks import BESIDE, closed
+from topometric_ros.extraction.masks import BESIDE, closed, sees
 
 _PARTS = 2
 """Fine cells along the edge of a cell."""
@@ -122,22 +122,24 @@ def _nearest(labels, wanted, wall, reach):  # type: ignore[no-untyped-def]
         for j in range(ny - 1, -1, -1):
             last = j if labels[i, j] > 0 else last
             right[i, j] = last
+    space = np.logical_not(wall).ravel()
     result = np.zeros((nx, ny), np.int32)
     farthest = int(np.floor(reach * reach + 1e-9))
     for i in range(nx):
         for j in range(ny):
             if wanted[i, j]:
-                row, column = _search(labels, left, right, wall, i, j, farthest, False)
+                row, column = _search(labels, left, right, space, i, j, farthest, False)
                 square = (row - i) ** 2 + (column - j) ** 2
-                if row >= 0 and square > _NEAR**2 and _hidden(wall, i, j, row, column):
-                    row, column = _search(labels, left, right, wall, i, j, farthest, True)
+                far = row >= 0 and square > _NEAR**2
+                if far and not _seen_from(space, ny, i, j, row, column):
+                    row, column = _search(labels, left, right, space, i, j, farthest, True)
                 if row >= 0:
                     result[i, j] = labels[row, column]
     return result
 
 
 @njit(cache=True, nogil=True)
-def _search(labels, left, right, wall, i, j, farthest, in_sight):  # type: ignore[no-untyped-def]
+def _search(labels, left, right, space, i, j, farthest, in_sight):  # type: ignore[no-untyped-def]
     """The labelled cell nearest to one, ties by the lowest label; (-1, -1): none.
 
     `left` and `right` are the nearest labelled columns of every row, so only rows are gone
@@ -154,29 +156,13 @@ def _search(labels, left, right, wall, i, j, farthest, in_sight):  # type: ignor
                     continue
                 if square == best and found[0] >= 0 and labels[row, column] >= labels[found]:
                     continue
-                if not (in_sight and _hidden(wall, i, j, row, column)):
+                if not in_sight or _seen_from(space, labels.shape[1], i, j, row, column):
                     best, found = square, (row, column)
         step += 1
     return found
 
 
 @njit(cache=True, nogil=True)
-def _hidden(wall, x, y, to_x, to_y):  # type: ignore[no-untyped-def]
-    """Whether a wall, other than the one that the first cell lies in, hides a cell from another."""
-    dx, dy = abs(to_x - x), abs(to_y - y)
-    step_x = 1 if to_x > x else -1
-    step_y = 1 if to_y > y else -1
-    own = wall[x, y]
-    later = dy - dx
-    while x != to_x or y != to_y:
-        along_x, along_y = later <= 0, later >= 0
-        if along_x:
-            x += step_x
-            later += 2 * dy
-        if along_y:
-            y += step_y
-            later -= 2 * dx
-        if wall[x, y] and not own:
-            return True
-        own = own and wall[x, y]
-    return False
+def _seen_from(space, width, i, j, row, column):  # type: ignore[no-untyped-def]
+    """Whether no wall, other than the one that (i, j) lies in, hides (row, column) from it."""
+    return sees(space, width, i * width + j, row * width + column, row - i, column - j)
