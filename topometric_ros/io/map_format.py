@@ -85,6 +85,20 @@ def read_container(path: Path) -> bytes:
         raise MapFileError(f"{path}: the file cannot be read: {reason}") from error
 
 
+def read_sections(path: Path, schema: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the header fields and the arrays of a file of this format that holds no map.
+
+    Raises
+    ------
+    MapFileError
+        The file is missing, damaged, or of another kind or version.
+    """
+    fields, arrays = decode(read_container(path), str(path))
+    if fields.get("schema") != schema:
+        raise MapFileError(f"{path}: schema: expected {schema!r}, got {fields.get('schema')!r}")
+    return fields, arrays
+
+
 def encode(fields: Mapping[str, Any], sections: list[Section]) -> bytes:
     """Return the bytes of a map file with these header fields and sections."""
     table, payloads = [], []

@@ -18,7 +18,7 @@ from topometric_ros.alignment import Alignment, AlignmentStatus, Alternative, Ba
 from topometric_ros.errors import one_line
 from topometric_ros.fusion.merge import MOST_AGENTS
 from topometric_ros.io.map_files import decode_map, encode_map
-from topometric_ros.io.map_format import MapFileError, Section, decode, encode, read_container
+from topometric_ros.io.map_format import MapFileError, Section, encode, read_sections
 from topometric_ros.io.packing import PackingError
 from topometric_ros.io.summaries import matrix_rows, optional, write_atomically
 from topometric_ros.runtime.transforms import TransformError, check_rigid
@@ -139,9 +139,7 @@ def load_state(path: Path) -> MergerState:
     MapFileError
         The file is missing, damaged, or of another kind or version.
     """
-    fields, arrays = decode(read_container(path), str(path))
-    if fields.get("schema") != SCHEMA:
-        raise MapFileError(f"{path}: schema: expected {SCHEMA!r}, got {fields.get('schema')!r}")
+    fields, arrays = read_sections(path, SCHEMA)
     try:
         state = MergerState(
             order=tuple(str(agent) for agent in fields["order"]),

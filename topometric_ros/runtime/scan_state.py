@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topometric_ros.io.map_format import MapFileError, Section, decode, encode, read_container
+from topometric_ros.io.map_format import MapFileError, Section, encode, read_sections
 from topometric_ros.io.packing import PackingError
 from topometric_ros.io.summaries import floats, write_atomically
 from topometric_ros.io.trajectories import AgentTrajectory
@@ -81,9 +81,7 @@ def load_scans(path: Path, config: ScanConfig) -> ScanState:
     MapFileError
         The file is missing, damaged, or of another kind or version.
     """
-    fields, arrays = decode(read_container(path), str(path))
-    if fields.get("schema") != SCHEMA:
-        raise MapFileError(f"{path}: schema: expected {SCHEMA!r}, got {fields.get('schema')!r}")
+    fields, arrays = read_sections(path, SCHEMA)
     try:
         anchor = np.array(fields["anchor"], np.float64).reshape(3)
         grid = ScanGrid.of(float(fields["cell"]), anchor, config, int(fields["scan"]), arrays)
