@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from functools import cache
+from functools import partial
 
 import numpy as np
 
@@ -18,9 +18,8 @@ from topometric_ros.fusion.align_by_prior import candidate_of, decide_by_prior, 
 from topometric_ros.fusion.candidates import find_candidates
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.fine_pose import fine_pose, fine_poses
-from topometric_ros.fusion.furniture import Pieces
 from topometric_ros.fusion.gates import missed_gate, objection
-from topometric_ros.fusion.judge import FinePose, compared, judge, unless_elsewhere
+from topometric_ros.fusion.judge import FinePose, FurnitureAt, furniture_at, judge, unless_elsewhere
 from topometric_ros.fusion.overlap import same_rooms, shared_voxels
 from topometric_ros.fusion.poses import Transform, apart, carried, input_frames, inverse
 from topometric_ros.fusion.prepared import Prepared
@@ -92,9 +91,9 @@ def _aligned(
         return _believed(a, b, candidates, config, watch)
     if prior is not None:
         candidates.append(candidate_of(prior, a, b, config))
-    fine = fine_poses(a, b, config)
+    fine, furniture = fine_poses(a, b, config), furniture_at(a, b)
     with watch.stage("evidence"):
-        judged, decision = judge(a, b, candidates, fine, config)
+        judged, decision = judge(a, b, candidates, fine, furniture, config)
         if prior is not None:
             judged, decision = decide_by_prior(judged, decision, prior, a, b, config)
         else:
@@ -107,7 +106,9 @@ def _aligned(
             refused, alternatives=alternatives, confidence=decision.confidence, score=score
         )
     best = judged[decision.best]
-    return _registered(a, b, best, decision, fine, config, watch, ask_twins=prior is None)
+    return _registered(
+        a, b, best, decision, fine, furniture, config, watch, ask_twins=prior is None
+    )
 
 
 def _registered(
@@ -116,6 +117,7 @@ def _registered(
     best: Judged,
     decision: Decision,
     fine: FinePose,
+    furniture: FurnitureAt,
     config: MergeConfig,
     watch: Stopwatch,
     ask_twins: bool,
@@ -137,12 +139,8 @@ def _registered(
     with watch.stage("evidence"):
         evidence = evaluate(a.fields, b.fields, T, _scoring(config))
     moved = apart(T, candidate.T_a_b, np.array([evidence.centre]))
-
-    @cache
-    def furniture() -> Pieces:
-        return compared(a, b, T)
-
-    refusal = objection(evidence, decision.gap, decision.ratio, config.verification, furniture)
+    pieces = partial(furniture, T)
+    refusal = objection(evidence, decision.gap, decision.ratio, config.verification, pieces)
     if moved > config.largest_correction:
         refusal = (
             f"registration moved the pose by {moved:.2f} m, at most "
@@ -153,7 +151,7 @@ def _registered(
         refused = _refused(a, b, AlignmentStatus.REJECTED, f"after registration: {refusal}")
         return replace(refused, alternatives=alternatives, score=evidence.value)
 
-    doubt = twin_doubt(evidence, config.verification, furniture) if ask_twins else None
+    doubt = twin_doubt(evidence, config.verification, pieces) if ask_twins else None
     if doubt is not None:
         pose = Alternative(_to_input(a, b, T), evidence.value)
         return replace(

@@ -32,9 +32,17 @@ where more conflicts, the place may be a rough copy itself."""
 FinePose = Callable[[Candidate], Registration]
 """Registers a candidate finely: `fusion.fine_pose.fine_poses` of two maps."""
 
+FurnitureAt = Callable[[Transform], Pieces]
+"""Compares the furniture of two maps, level frame of b to that of a: :func:`furniture_at`."""
+
 
 def judge(
-    a: Prepared, b: Prepared, candidates: Sequence[Candidate], fine: FinePose, config: MergeConfig
+    a: Prepared,
+    b: Prepared,
+    candidates: Sequence[Candidate],
+    fine: FinePose,
+    furniture: FurnitureAt,
+    config: MergeConfig,
 ) -> tuple[list[Judged], Decision]:
     """Return the candidates with their evidence, and what is decided.
 
@@ -52,18 +60,29 @@ def judge(
         return judged, decision
     best = judged[decision.best][0]
 
-    def furniture() -> Pieces:
+    def where_registered() -> Pieces:
         try:
-            return compared(a, b, fine(best).T_target_source)
+            return furniture(fine(best).T_target_source)
         except RegistrationError:
             return Pieces(0, 0)
 
-    return judged, decide(judged, config.verification, furniture)
+    return judged, decide(judged, config.verification, where_registered)
 
 
-def compared(a: Prepared, b: Prepared, T_a_b: Transform) -> Pieces:
-    """Return how much furniture stands in the same place, to the centimetre."""
-    return compare_furniture((a.map, a.surface), (b.map, b.surface), T_a_b)
+def furniture_at(a: Prepared, b: Prepared) -> FurnitureAt:
+    """Return what compares the furniture of two maps to the centimetre, once for each pose.
+
+    Judging and accepting ask for the same one.
+    """
+    made: dict[bytes, Pieces] = {}
+
+    def at(T_a_b: Transform) -> Pieces:
+        key = T_a_b.tobytes()
+        if key not in made:
+            made[key] = compare_furniture((a.map, a.surface), (b.map, b.surface), T_a_b)
+        return made[key]
+
+    return at
 
 
 def unless_elsewhere(

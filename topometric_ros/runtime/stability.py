@@ -11,7 +11,7 @@ from topometric_ros.alignment import Alignment
 from topometric_ros.fusion.align import Prepared
 from topometric_ros.fusion.config import MergeConfig
 from topometric_ros.fusion.gates import missed_gate, objection
-from topometric_ros.fusion.judge import compared
+from topometric_ros.fusion.judge import furniture_at
 from topometric_ros.fusion.poses import Transform, angle, apart, inverse, level_frames
 from topometric_ros.fusion.priors import parse_priors, prior_between
 from topometric_ros.matching.evidence import Evidence, evaluate
@@ -59,7 +59,7 @@ def standing(
         return kept, None
     T_level = level_frames(alignment.T_a_b, a.map.T_level_input, b.map.T_level_input)
     return kept, objection(
-        evidence, np.inf, 0.0, config.verification, lambda: compared(a, b, T_level)
+        evidence, np.inf, 0.0, config.verification, lambda: furniture_at(a, b)(T_level)
     )
 
 
