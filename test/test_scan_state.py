@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -131,4 +132,19 @@ def test_a_file_that_cannot_be_used_is_put_aside_and_so_is_one_of_an_older_sessi
     keeper.keep(one, at_once=True)
     assert (tmp_path / "scans.before").read_bytes() == kept
     assert not path.exists(), "what was reset does not come back"
+    keeper.close()
+
+
+def test_that_nothing_can_be_written_is_told_until_it_can(tmp_path: Path) -> None:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    keeper = ScanKeeper(str(folder / "scans"), logging.getLogger("test"))
+    one = gather(session(), SCANS[:2])
+    shutil.rmtree(folder)
+    failure = keeper.keep(one)
+    assert failure.startswith("what was gathered was not saved: ")
+    assert keeper.keep(one) == failure, "before it is tried again"
+    folder.mkdir()
+    assert keeper.keep(one, at_once=True) == ""
+    assert keeper.keep(one) == ""
     keeper.close()

@@ -42,15 +42,18 @@ class ScanKeeper(KeptFile):
         self._session = session.session
 
     def keep(self, session: ExtractorSession, at_once: bool = False) -> str:
-        """Write what a session has gathered, where it is time; return why that failed, or ""."""
+        """Write what a session has gathered, where it is time; return why that failed, or "".
+
+        A failure is told until writing succeeds, not only when it is tried.
+        """
         if self.path is None or not (at_once or self._pace.due()):
-            return ""
+            return self._told
         if self._session != session.session and self.path.exists():
             self.put_aside("before")
         self._session = session.session
         state = session.scan_state()
         if state is None or self._kept == (session.session, state.scans):
-            return ""
+            return self._told
         with self._pace.step(1.0 / self._every):
             failure = self.write(lambda path: save_scans(path, state))
         self._every = min(2.0 * self._every, _LATER_S)
